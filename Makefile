@@ -1,0 +1,57 @@
+# `make demo` and `make test` do all the set-up themselves: they build .venv when it is missing or stale.
+PYTHON ?= python3
+VENV := .venv
+STAMP := $(VENV)/.installed
+BIN := $(VENV)/bin
+
+.PHONY: help demo test test-slow lint bench results lerobot clean
+
+help: ## show this
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+demo: $(STAMP) gl ## from nothing to a robot moving bags, and a report: about 8 minutes on two cores
+	$(BIN)/python examples/demo.py
+
+test: $(STAMP) gl ## the fast tests, under 5 minutes on two cores
+	$(BIN)/python -m pytest -n 2
+
+test-slow: $(STAMP) gl ## the tests that take minutes
+	$(BIN)/python -m pytest -m slow
+
+lint: $(STAMP) ## format, lint, types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(STAMP) gl ## tables of speed and memory
+	for benchmark in benchmarks/[a-z]*.py; do echo "== $$benchmark"; $(BIN)/python $$benchmark; done
+
+results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: hours on two cores
+	$(BIN)/python benchmarks/results/measure.py
+
+lerobot: $(STAMP) gl ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
+	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot
+	.venv-lerobot/bin/python -m pip install --quiet "lerobot[dataset,training,viz]==0.6.1"
+	$(BIN)/baggie collect --attempts 12 --out build/lerobot/recording
+	.venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot/recording
+
+clean: ## remove what was built, and the environment
+	rm -rf $(VENV) .venv-lerobot build demo .pytest_cache .ruff_cache .mypy_cache .hypothesis src/*.egg-info
+
+$(STAMP): constraints.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
+	    { echo "error: Python 3.11 to 3.13 is needed, $$($(PYTHON) --version) came; say which: make PYTHON=python3.11"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
+	@touch $@
+
+.PHONY: gl
+gl:
+	@ldconfig -p | grep -qE 'libEGL\.so|libOSMesa\.so' || { \
+	    if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	        echo "no off-screen OpenGL library here: installing libegl1 and libgl1-mesa-dri"; \
+	        apt-get update -qq && apt-get install -y -qq libegl1 libgl1-mesa-dri >/dev/null; \
+	    else \
+	        echo "error: rendering needs an off-screen OpenGL library; install one with: sudo apt-get install libegl1 libgl1-mesa-dri"; \
+	        exit 1; \
+	    fi; }

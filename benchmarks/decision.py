@@ -1,0 +1,62 @@
+"""How long a decision takes, from a picture of 1280 x 720 and a goal to a plan: every policy there is.
+
+    python benchmarks/decision.py
+
+The networks are untrained: their weights make no difference to the time. One thread, then two.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import cv2
+import numpy as np
+import torch
+
+from baggie.calibration.homography import ImageToRobot
+from baggie.data.annotation import goal_of
+from baggie.learning.keypoint import KeypointRecipe
+from baggie.policies import ColorMaskPolicy, Policy, RegressionPolicy
+from baggie.policies.regression import RegressionNet
+from synthetic import RED, make_attempt, to_pixels
+
+ROUNDS = 25
+SIZE = (1280, 720)
+
+
+def main() -> None:
+    recorded = [make_attempt(i, np.random.default_rng(i), (640, 360), depth=False) for i in range(20)]
+    policies: list[Policy] = [
+        KeypointRecipe(recorded).policy,
+        RegressionPolicy(RegressionNet(), (640, 360), 0, "solid", (0, 200, 0)),
+        color_mask(),
+    ]
+    attempt = make_attempt(0, np.random.default_rng(0), SIZE, depth=False)
+    goal = goal_of(attempt)
+    print(f"pictures of {SIZE[0]} x {SIZE[1]}; {ROUNDS} rounds, interleaved; ms a decision")
+    print(f"{'policy':<14}{'threads':>8}{'median':>8}{'fastest':>9}{'slowest':>9}")
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        cv2.setNumThreads(threads)
+        times = np.zeros((ROUNDS, len(policies)))
+        for turn in range(-2, ROUNDS):  # the first ones warm up
+            for column, policy in enumerate(policies):
+                start = time.perf_counter()
+                policy.plan(attempt.before, goal)
+                times[max(turn, 0), column] = 1000 * (time.perf_counter() - start)
+        for policy, ms in zip(policies, times.T, strict=True):
+            print(f"{policy.name:<14}{threads:>8}{np.median(ms):>8.1f}{ms.min():>9.1f}{ms.max():>9.1f}")
+
+
+def color_mask() -> ColorMaskPolicy:
+    xy = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
+    pixels = to_pixels(np.c_[xy, np.full(len(xy), 0.015)], SIZE)
+    return ColorMaskPolicy(ImageToRobot.fit(pixels, xy, SIZE, height_m=0.015), RED)
+
+
+if __name__ == "__main__":
+    main()

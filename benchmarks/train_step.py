@@ -1,0 +1,78 @@
+"""How long one training step takes: ours beside the published recipe.
+
+    python benchmarks/train_step.py
+
+One step: batch made, forward, backward, optimizer; nothing prefetched. One thread, then two.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import cv2
+import numpy as np
+import torch
+
+from baggie.learning.background import flushed_denormals
+from baggie.learning.keypoint import KeypointRecipe
+from baggie.learning.recipe import Recipe
+from baggie.learning.regression import RegressionRecipe
+from synthetic import make_attempt
+
+ROUNDS = 15
+ATTEMPTS = 20
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    attempts = [make_attempt(i, np.random.default_rng(i), (640, 360), depth=False) for i in range(ATTEMPTS)]
+    recipes: dict[str, Recipe] = {
+        "keypoint, batch 8": KeypointRecipe(attempts),
+        "regression, batch 1": RegressionRecipe(attempts, "solid", (0, 200, 0), None),
+    }
+    print(f"recordings of 640 x 360; {ROUNDS} rounds, interleaved; ms a step")
+    print(f"{'recipe':<22}{'threads':>8}{'median':>8}{'fastest':>9}{'slowest':>9}{'steps':>9}{'minutes':>9}")
+    with flushed_denormals():
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            for name, ms in measure({name: stepper(recipe) for name, recipe in recipes.items()}).items():
+                steps = recipes[name].steps
+                minutes = np.median(ms) * steps / 60_000
+                print(
+                    f"{name:<22}{threads:>8}{np.median(ms):>8.0f}{ms.min():>9.0f}{ms.max():>9.0f}"
+                    f"{steps:>9}{minutes:>9.1f}"
+                )
+
+
+def stepper(recipe: Recipe) -> Callable[[], None]:
+    optimizer, network = recipe.optimizer(), recipe.policy.network.train()
+    rng = np.random.default_rng(0)
+
+    def step() -> None:
+        loss, _ = recipe.loss(network, recipe.batch(rng))
+        loss.backward()
+        optimizer.step()
+        optimizer.zero_grad()
+
+    return step
+
+
+def measure(steps: dict[str, Callable[[], None]]) -> dict[str, np.ndarray]:
+    """Milliseconds of each round, interleaved, so that a busy moment hits all alike."""
+    times: dict[str, list[float]] = {name: [] for name in steps}
+    for turn in range(ROUNDS + 2):
+        for name, step in steps.items():
+            start = time.perf_counter()
+            step()
+            if turn >= 2:  # the first ones warm up
+                times[name].append(1000 * (time.perf_counter() - start))
+    return {name: np.array(values) for name, values in times.items()}
+
+
+if __name__ == "__main__":
+    main()

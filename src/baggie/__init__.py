@@ -1,0 +1,41 @@
+"""Baggie: a robot that teaches itself to pick up and place soft things.
+
+cell = baggie.open_workcell("sim")
+policy = baggie.load_policy("runs/keypoint")
+outcome = cell.execute(policy.plan(cell.look(), goal).action)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from baggie.data import Dataset
+    from baggie.policies import Policy
+    from baggie.workcell.workcell import Workcell
+
+__all__ = ["load_policy", "open_dataset", "open_workcell"]
+
+# PyTorch, MuJoCo and pyarrow take seconds to import: each is loaded when it is first needed.
+
+
+def open_workcell(source: str | Path = "sim") -> Workcell:
+    """The workcell a file describes, or `"sim"`: the simulated one. Raises `BaggieError` for a file it cannot use."""
+    from baggie.workcell.config import open_workcell as open_  # noqa: PLC0415
+
+    return open_(source)
+
+
+def load_policy(source: str | Path) -> Policy:
+    """The policy of a training run's folder or a Hub id. Raises `DataError` when there is none."""
+    from baggie.policies import load_policy as load  # noqa: PLC0415
+
+    return load(source)
+
+
+def open_dataset(root: str | Path) -> Dataset:
+    """The recording in a folder. Raises `DataError` when there is none, or a file of it is broken."""
+    from baggie.data import open_dataset as open_  # noqa: PLC0415
+
+    return open_(root)

@@ -1,0 +1,161 @@
+"""`baggie <verb>`: thin. One function per verb; its options are the verb's own dataclass."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+# Two OpenMP threads that spin while they wait for one another are slower than two that sleep.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import tyro
+
+from baggie.collect import CollectOptions
+from baggie.collect import collect as run_collect
+from baggie.data import contact_sheet, inspect_dataset
+from baggie.errors import BaggieError
+from baggie.evaluation.closed_loop import EvaluateOptions
+from baggie.evaluation.closed_loop import evaluate as run_evaluate
+from baggie.evaluation.report import ReportOptions
+from baggie.evaluation.report import report as run_report
+from baggie.evaluation.validate import ValidateOptions
+from baggie.evaluation.validate import validate as run_validate
+from baggie.learning import TrainOptions
+from baggie.learning import train as run_train
+
+DONE, FAILED, INTERRUPTED = 0, 1, 130
+
+
+def collect(options: CollectOptions, json: bool = False) -> None:
+    """Let the robot make demonstrations by itself, unattended. The same command again goes on where it stopped.
+
+    Example: baggie collect --task bag-place --attempts 300 --seed 0 --cell 0 --out recordings/bags
+
+    Args:
+        options: What to collect.
+        json: Print the summary as one JSON object.
+    """
+    _show(run_collect(options), json)
+
+
+def inspect(
+    data: tyro.conf.Positional[Path], sheet: Path | None = None, columns: int = 6, json: bool = False
+) -> None:
+    """Say what is in a recording, and draw a contact sheet of it.
+
+    Example: baggie inspect recordings/bags
+
+    Args:
+        data: The recording's folder.
+        sheet: Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given.
+        columns: Attempts in a row of the contact sheet.
+        json: Print the summary as one JSON object.
+    """
+    summary = inspect_dataset(data)
+    if summary["attempts"]:
+        summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
+    _show(summary, json)
+
+
+def train(options: TrainOptions, json: bool = False) -> None:
+    """Teach a policy from a recording. The same command again goes on where it stopped.
+
+    Example: baggie train --policy keypoint --data recordings/bags --out runs/keypoint
+
+    Args:
+        options: What to train.
+        json: Print the metrics as one JSON object.
+    """
+    _show(run_train(options), json)
+
+
+def validate(options: ValidateOptions, json: bool = False) -> None:
+    """Measure pick and place errors, in cm, on attempts a policy never learned from.
+
+    Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
+
+    Args:
+        options: What to measure.
+        json: Print the metrics as one JSON object.
+    """
+    _show(run_validate(options), json)
+
+
+def evaluate(options: EvaluateOptions, json: bool = False) -> None:
+    """Run the whole loop on scenes nobody has seen, and measure where the bags end.
+
+    Example: baggie evaluate --policy runs/keypoint --task bag-place --episodes 100 --out runs/keypoint/evaluation
+
+    Args:
+        options: What to run.
+        json: Print the metrics as one JSON object.
+    """
+    _show(run_evaluate(options), json)
+
+
+def report(options: ReportOptions, json: bool = False) -> None:
+    """Put everything known about some runs on one self-contained page.
+
+    Example: baggie report runs/keypoint runs/color-mask --out report.html
+
+    Args:
+        options: What to put on it.
+        json: Print where the page is as one JSON object.
+    """
+    _show({"report": str(run_report(options))}, json)
+
+
+VERBS: dict[str, Callable[..., None]] = {
+    verb.__name__: verb for verb in (collect, inspect, train, validate, evaluate, report)
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a verb; the exit status: 0 done, 1 it could not be done, 2 wrong usage (by tyro), 130 interrupted."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            VERBS,
+            prog="baggie",
+            description="A robot that teaches itself to pick up and place soft things.",
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        )
+    except (BaggieError, OSError) as error:
+        print("error:", " ".join(str(error).split()), file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt as interruption:
+        print(interruption or "interrupted; the same command again goes on", file=sys.stderr)
+        return INTERRUPTED
+    return DONE
+
+
+def _show(result: Mapping[str, Any], as_json: bool) -> None:
+    print(jsonlib.dumps(result, default=str) if as_json else "\n".join(_lines(result)))
+
+
+def _lines(result: Mapping[str, Any], indent: str = "") -> list[str]:
+    """A nested result as indented lines."""
+    lines = []
+    for key, value in result.items():
+        name = str(key).replace("_", " ")
+        if isinstance(value, Mapping) and any(isinstance(inner, Mapping) for inner in value.values()):
+            lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
+        elif isinstance(value, Mapping):
+            lines.append(f"{indent}{name}: " + ", ".join(f"{k} {_number(v)}" for k, v in value.items()))
+        elif isinstance(value, (list, tuple)) and len(value) > 12:
+            lines.append(f"{indent}{name}: {len(value)} entries")
+        else:
+            lines.append(f"{indent}{name}: {_number(value)}")
+    return lines
+
+
+def _number(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

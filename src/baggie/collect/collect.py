@@ -1,0 +1,196 @@
+"""Collect demonstrations unattended: calibrate once, then sittings of ten attempts on every core."""
+
+from __future__ import annotations
+
+import functools
+import os
+import shlex
+import time
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from baggie.calibration.homography import ImageToRobot
+from baggie.collect.calibrate import calibrate
+from baggie.collect.cell import CollectorCell
+from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
+from baggie.collect.summary import draw_coverage, summarize
+from baggie.data import DatasetWriter, open_dataset
+from baggie.errors import BaggieError
+from baggie.processes import stream_in_processes
+from baggie.types import Attempt
+
+INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
+"""The tasks that can be collected, and each in words."""
+PICTURE_SIZE = (640, 360)
+"""`(width, height)` of the recorded pictures."""
+CALIBRATION_FOLDER = "calibration"
+"""Where a recording keeps the colour-mask policy of its cell, which holds the map the collector used."""
+COVERAGE_FILE = "coverage.png"
+
+OpenCell = Callable[[int], CollectorCell]
+"""Opens the cell with a number; picklable, because each worker process opens its own."""
+
+
+@dataclass(frozen=True)
+class CollectOptions:
+    """What to collect, and where to."""
+
+    out: Path
+    """Folder of the recording. The same command again goes on where it stopped."""
+    task: str = "bag-place"
+    """What is on the table and what counts as done."""
+    attempts: int = 300
+    """How many attempts there are to be in the end, failed ones included."""
+    seed: int = 0
+    """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
+    cell: int = 0
+    """Number of the simulated workcell."""
+    workers: int | None = None
+    """Processes, each with a workcell of its own; as many as there are cores unless given."""
+
+    def check(self) -> None:
+        """Raise `BaggieError` for what cannot be collected."""
+        if self.task not in INSTRUCTIONS:
+            raise BaggieError(f"expected a task among {', '.join(INSTRUCTIONS)}, got {self.task!r}")
+        for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
+            if getattr(self, name) < least:
+                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
+        if self.workers is not None and self.workers < 1:
+            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
+
+    def command(self) -> str:
+        """The command line that goes on with this collection."""
+        words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
+        words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
+        words += [] if self.workers is None else ["--workers", str(self.workers)]
+        return shlex.join(words)
+
+
+def open_simulated_cell(number: int) -> CollectorCell:
+    """The simulated workcell; imported late, because MuJoCo takes its time."""
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
+
+    return open_simulated(number)
+
+
+def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) -> dict[str, Any]:
+    """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
+
+    Raises `BaggieError` when the cell cannot be calibrated, nobody could help a stalled collector, the disk
+    is full, or the folder holds another recording: what was recorded before stays, and the same command goes
+    on from there. Raises `KeyboardInterrupt` after saying on stderr how to go on.
+    """
+    options.check()
+    console = Console(stderr=True)
+    collection = {"seed": options.seed, "cell": options.cell}
+    with DatasetWriter(
+        options.out,
+        task=INSTRUCTIONS[options.task],
+        robot_type="simulated FR3",
+        picture_size=PICTURE_SIZE,
+        collection=collection,
+    ) as writer:
+        try:
+            image_to_robot = _calibrated(options, open_cell, console)
+            rate = _record(options, open_cell, image_to_robot, writer, console)
+        except KeyboardInterrupt:
+            console.print(
+                f"interrupted with {len(writer.attempt_ids)} of {options.attempts} attempts recorded; "
+                f"go on with: {options.command()}",
+                soft_wrap=True,
+            )
+            raise
+    dataset = open_dataset(options.out)
+    draw_coverage(dataset, image_to_robot.area, options.out / COVERAGE_FILE)
+    summary = summarize(dataset, image_to_robot.area)
+    return {
+        **summary,
+        "attempts_per_minute": rate,
+        "coverage_picture": str(options.out / COVERAGE_FILE),
+    }
+
+
+def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
+    """The collector's map from the picture to the robot: as saved, or fitted now."""
+    from baggie.policies.color_mask import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
+
+    folder = options.out / CALIBRATION_FOLDER
+    if not (folder / CONFIG_FILE).exists():
+        with console.status("calibrating the picture to the robot"), closing(open_cell(options.cell)) as cell:
+            ColorMaskPolicy(calibrate(cell, options.seed), cell.settings.object_color).save(folder)
+    image_to_robot = ColorMaskPolicy.load(folder).image_to_robot
+    residuals = image_to_robot.residuals
+    console.print(
+        f"picture to robot: {residuals.points} points, residual {residuals.rms_mm:.1f} mm, "
+        f"{residuals.leave_one_out_mm:.1f} mm leave-one-out"
+    )
+    return image_to_robot
+
+
+def _record(
+    options: CollectOptions,
+    open_cell: OpenCell,
+    image_to_robot: ImageToRobot,
+    writer: DatasetWriter,
+    console: Console,
+) -> float | None:
+    """Run what is missing; attempts per minute, or None when nothing was."""
+    sittings = missing_sittings(options.attempts, writer.attempt_ids)
+    if not sittings:
+        console.print(f"all {options.attempts} attempts are recorded already")
+        return None
+    recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
+    worker = functools.partial(_open_worker, open_cell, image_to_robot, recording)
+    done, good, start = 0, 0, time.monotonic()
+    progress = Progress(
+        TextColumn("collecting"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+    recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
+    with progress:
+        bar = progress.add_task("", total=options.attempts, completed=recorded, note="")
+        workers = options.workers or os.cpu_count() or 1
+        for attempt in stream_in_processes(worker, sittings, workers):
+            writer.append(attempt)
+            done, good = done + 1, good + attempt.outcome.success
+            rate = 60 * done / (time.monotonic() - start)
+            progress.update(bar, advance=1, note=f"{good}/{done} succeeded, {rate:.0f} a minute")
+    return 60 * done / (time.monotonic() - start)
+
+
+def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, ...]]:
+    """The ids that are still to be recorded, `0 .. attempts - 1`, by sitting, early ones first."""
+    missing = sorted(set(range(attempts)) - set(recorded))
+    sittings: dict[int, list[int]] = {}
+    for attempt_id in missing:
+        sittings.setdefault(attempt_id // ATTEMPTS_PER_SITTING, []).append(attempt_id)
+    return [tuple(ids) for ids in sittings.values()]
+
+
+def _open_worker(
+    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording
+) -> Callable[[tuple[int, ...]], Iterable[Attempt]]:
+    """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
+    cv2.setNumThreads(1)
+    cell = open_cell(recording.cell)
+
+    def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
+        number = wanted[0] // ATTEMPTS_PER_SITTING
+        for attempt in run_sitting(cell, image_to_robot, recording, number):
+            if attempt.attempt_id in wanted:
+                yield attempt
+            if attempt.attempt_id == wanted[-1]:
+                return
+
+    return sit

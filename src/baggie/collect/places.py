@@ -1,0 +1,57 @@
+"""Where the collector grips and where it puts down."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from baggie.errors import BaggieError
+from baggie.geometry import PlanarPose, Rectangle
+
+MIN_DISTANCE_M = 0.20
+MARGIN_M = 0.03
+"""Between any place and the workspace's edge: a soft bag lands up to this far from where it is let go."""
+FALSE_45_RAD = math.radians(7)
+"""Readings this close to 45 degrees are doubted."""
+_SAMPLES = 1000
+
+
+def random_place(workspace: Rectangle, last: PlanarPose, rng: np.random.Generator) -> PlanarPose:
+    """A place uniform over the workspace, at least 20 cm from the last, the gripper square to it (yaw 0).
+
+    Raises `BaggieError` when the workspace is too small for two places 20 cm apart.
+    """
+    for _ in range(_SAMPLES):
+        x, y = workspace.sample(rng, MARGIN_M)
+        if math.hypot(x - last.x, y - last.y) >= MIN_DISTANCE_M:
+            return PlanarPose(float(x), float(y), 0.0)
+    raise BaggieError(
+        f"expected a workspace with places {MIN_DISTANCE_M * 100:.0f} cm apart, got {workspace}; "
+        "make it larger"
+    )
+
+
+def false_45(yaw: float) -> bool:
+    """Whether a square's angle (radians, modulo a quarter turn) is so near 45 degrees that it may be false.
+
+    The rectangle of least area around a square with soft corners may as well stand on its tip.
+    """
+    return abs(abs(yaw) - math.pi / 4) < FALSE_45_RAD
+
+
+def grip_yaw(yaw: float, doubted_before: bool) -> float:
+    """The gripper's angle for an object at `yaw` (radians, modulo a quarter turn).
+
+    Along the object, so that putting it down with the gripper at 0 squares it to the workspace. A reading of
+    45 degrees is taken for false, and the gripper stays square; but a false one does not survive being moved,
+    so the second in a row (`doubted_before`) is believed.
+    """
+    return 0.0 if false_45(yaw) and not doubted_before else yaw
+
+
+def nearest_grip(workspace: Rectangle, x: float, y: float, reach: float) -> tuple[float, float] | None:
+    """The point of the workspace nearest to (x, y); None where that is more than `reach` metres away."""
+    inside_x = min(max(x, workspace.x_min), workspace.x_max)
+    inside_y = min(max(y, workspace.y_min), workspace.y_max)
+    return (inside_x, inside_y) if math.hypot(inside_x - x, inside_y - y) <= reach else None

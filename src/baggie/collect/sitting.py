@@ -1,0 +1,109 @@
+"""A sitting: ten attempts one after another from a fresh scene.
+
+Attempts `10 k .. 10 k + 9` depend on the seed, the cell and k alone, so any process may run any sitting, and
+one that was interrupted is run again from its start and gives the same attempts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from baggie import seeds
+from baggie.calibration.homography import ImageToRobot
+from baggie.collect.cell import Ask, CollectorCell
+from baggie.collect.machine import Stopped, Turn, run_turn
+from baggie.data.record import fit
+from baggie.geometry import FloatArray
+from baggie.types import Attempt, Truth
+from baggie.vision.color_mask import Detection
+
+ATTEMPTS_PER_SITTING = 10
+STALL_AFTER = 5
+"""Attempts in a row without a success before a person is asked."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What all sittings of one collection have in common."""
+
+    instruction: str
+    """The task in words."""
+    seed: int
+    cell: int
+    size: tuple[int, int]
+    """`(width, height)` of the recorded pictures, pixels."""
+
+
+def run_sitting(
+    cell: CollectorCell,
+    image_to_robot: ImageToRobot,
+    recording: Recording,
+    number: int,
+    ask: Ask | None = None,
+) -> Iterator[Attempt]:
+    """The ten attempts of one sitting, one by one as they are finished, failed ones too.
+
+    `ask` is called with one line when a person is needed; it is the cell's own `rescue` unless given. Raises
+    `Stopped` when nobody could help, or when it stalls again after help.
+    """
+    ask = ask or (lambda _question: cell.rescue())
+    cell.reset((seeds.COLLECTION, recording.seed, number))
+    rng = seeds.generator(seeds.PLACES, recording.seed, number)
+    doubted = helped = False
+    failures = 0
+    for index in range(ATTEMPTS_PER_SITTING):
+        time = cell.clock()
+        turn = run_turn(Turn(cell, image_to_robot, rng, ask, doubted_before=doubted))
+        doubted = turn.doubted
+        attempt = as_attempt(turn, recording, number * ATTEMPTS_PER_SITTING + index, time)
+        yield attempt
+        failures = 0 if attempt.outcome.success else failures + 1
+        if attempt.outcome.failure == "stalled" or failures >= STALL_AFTER:
+            trouble = _stall(attempt, failures)
+            if helped or not ask(trouble):
+                raise Stopped(f"collecting stopped: {trouble}")
+            helped, failures = True, 0
+
+
+def _stall(attempt: Attempt, failures: int) -> str:
+    if attempt.outcome.failure == "stalled":
+        return (
+            f"after attempt {attempt.attempt_id} the object is still where it was, though the gripper held "
+            "something; check that the camera is live and the gripper free"
+        )
+    return (
+        f"{failures} attempts in a row failed, the last one ({attempt.attempt_id}) with "
+        f"{attempt.outcome.failure}; check the gripper, the calibration and the object's colour"
+    )
+
+
+def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -> Attempt:
+    """A finished turn as a record, its pictures and boxes at the recorded size."""
+    assert turn.before is not None
+    assert turn.action is not None
+    assert turn.outcome is not None
+    assert turn.after is not None
+    assert turn.truth_before is not None
+    attempt = Attempt(
+        attempt_id=attempt_id,
+        task=recording.instruction,
+        before=turn.before,
+        after=turn.after,
+        commanded=turn.action,
+        outcome=turn.outcome,
+        box_before=_box(turn.found),
+        box_after=_box(turn.found_after),
+        cell=recording.cell,
+        seed=recording.seed,
+        time=time,
+        truth=Truth(turn.truth_before, turn.cell.truth()),
+    )
+    return fit(attempt, recording.size)
+
+
+def _box(found: Detection | None) -> FloatArray:
+    """`(4, 2)` corners, NaN where nothing was found."""
+    return np.full((4, 2), np.nan) if found is None else found.corners

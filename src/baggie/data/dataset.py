@@ -1,0 +1,181 @@
+"""Reading attempts back: numbers at once, pictures when they are asked for. Reading never writes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from baggie.data import lerobot
+from baggie.data.files import check_complete, read_json, read_parquet
+from baggie.data.index import read_numbers
+from baggie.data.layout import Layout
+from baggie.data.png import decode_color, is_whole
+from baggie.data.record import NUMBERS, to_attempt
+from baggie.data.settings import DatasetSettings
+from baggie.errors import DataError
+from baggie.types import Attempt, Image
+
+_LISTED = tuple(
+    name for name in NUMBERS if name not in {"histogram", "before_intrinsics", "after_intrinsics"}
+)
+_NOT_NUMBERS = {"task", "failure", "timings_s", "before_offset", "before_length"}
+
+
+def open_dataset(root: Path | str) -> Dataset:
+    """The attempts recorded in a folder, sorted by attempt id.
+
+    A snapshot: attempts recorded later are not in it. Raises DataError when there is no dataset in the
+    folder, or when one of its files is missing or cut off.
+    """
+    layout = Layout(Path(root))
+    settings = DatasetSettings.read(layout)
+    # `info.json` is written last: what it counts is complete, even while someone is recording.
+    episodes = read_json(layout.info)["total_episodes"] if layout.info.exists() else 0
+    check_complete(layout.data(episode) for episode in range(episodes))
+    numbers = read_numbers(layout, _LISTED)[:episodes]
+    if numbers["episode_index"].to_pylist() != list(range(episodes)):
+        raise DataError(
+            f"{layout.root} counts {episodes} episodes, but its `attempts/` does not hold a record of each: "
+            "another tool changed it; put the recording back from a copy"
+        )
+    return Dataset(layout, settings, numbers.sort_by("attempt_id"))
+
+
+class Dataset(Sequence[Attempt]):
+    """Attempts on disk, sorted by attempt id; `dataset[i]` reads and decodes one, `dataset[a:b]` is a view.
+
+    Made by `open_dataset`.
+    """
+
+    def __init__(self, layout: Layout, settings: DatasetSettings, numbers: pa.Table) -> None:
+        self._layout = layout
+        self._numbers = numbers
+        self.settings = settings
+        """Task, robot, picture size and the collector's settings."""
+
+    @property
+    def root(self) -> Path:
+        """The folder."""
+        return self._layout.root
+
+    @property
+    def collection(self) -> Mapping[str, Any]:
+        """The collector's settings, as given to `DatasetWriter`."""
+        return self.settings.collection
+
+    @cached_property
+    def attempt_ids(self) -> NDArray[np.int64]:
+        """`(N,)`, ascending."""
+        return _numeric(self._numbers["attempt_id"])
+
+    @cached_property
+    def failures(self) -> list[str | None]:
+        """Why each attempt failed; None where it succeeded."""
+        return list(self._numbers["failure"].to_pylist())
+
+    def __len__(self) -> int:
+        return len(self.attempt_ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Attempt: ...
+    @overload
+    def __getitem__(self, index: slice) -> Dataset: ...
+    def __getitem__(self, index: int | slice) -> Attempt | Dataset:
+        if isinstance(index, slice):
+            return self._view(range(len(self))[index])
+        row = range(len(self))[index]
+        path = self._layout.attempt(int(self.attempt_ids[row]))
+        record = read_parquet(path).to_pylist()[0]
+        return to_attempt(record, self._before_png(row), path)
+
+    def successful(self) -> Dataset:
+        """The attempts that succeeded, as a view."""
+        return self._view(row for row, failure in enumerate(self.failures) if failure is None)
+
+    def _view(self, rows: Iterable[int]) -> Dataset:
+        return Dataset(self._layout, self.settings, self._numbers.take(pa.array(rows, pa.int64())))
+
+    def colors(
+        self, indices: Iterable[int] | None = None, size: tuple[int, int] | None = None, threads: int = 2
+    ) -> Image:
+        """The pictures before the attempts at `indices` (default: all): `(N, H, W, 3)` uint8 RGB.
+
+        `size` is `(width, height)`; as recorded by default. Raises DataError when a picture is damaged.
+        """
+        rows = list(range(len(self)) if indices is None else indices)
+        width, height = size or self.settings.picture_size
+        pictures = np.empty((len(rows), height, width, 3), np.uint8)
+
+        def decode(place: int) -> None:
+            row = range(len(self))[rows[place]]
+            source = self._layout.data(self._episodes[row])
+            decode_color(self._before_png(row), source, out=pictures[place])
+
+        if threads == 1:
+            for place in range(len(rows)):
+                decode(place)
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(decode, range(len(rows))))
+        return pictures
+
+    def numbers(self) -> dict[str, NDArray[Any]]:
+        """All numbers of all attempts by name, `(N, ...)`, without touching a picture.
+
+        Poses (`commanded`, `executed`: `(N, 6)`; `truth_before`, `truth_after`: `(N, 3)`) are metres and
+        radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for
+        what is not known. `success` is bool; `timings_s.<phase>` holds seconds by phase.
+        """
+        table = self._numbers
+        result = {name: _numeric(table[name]) for name in _LISTED if name not in _NOT_NUMBERS}
+        for box in ("box_before", "box_after"):
+            result[box] = result[box].reshape(-1, 4, 2)
+        result["success"] = np.array([failure is None for failure in self.failures], bool)
+        timings = [dict(pairs) for pairs in table["timings_s"].to_pylist()]
+        for phase in sorted({phase for times in timings for phase in times}):
+            result[f"timings_s.{phase}"] = np.array([times.get(phase, np.nan) for times in timings])
+        return result
+
+    @cached_property
+    def _episodes(self) -> list[int]:
+        return list(self._numbers["episode_index"].to_pylist())
+
+    @cached_property
+    def _places(self) -> list[tuple[int, int]]:
+        """Offset and length of each picture before in its file, bytes."""
+        columns = (self._numbers[name].to_pylist() for name in ("before_offset", "before_length"))
+        return list(zip(*columns, strict=True))
+
+    def _before_png(self, row: int) -> bytes | memoryview:
+        """The encoded picture before an attempt.
+
+        The record says where it lies in the file, which is ten times as fast as asking the file itself.
+        """
+        path = self._layout.data(self._episodes[row])
+        offset, length = self._places[row]
+        with contextlib.suppress(OSError), open(path, "rb", buffering=0) as file:
+            png = os.pread(file.fileno(), length, offset)
+            if is_whole(png):
+                return png
+        table = read_parquet(path, [f"{lerobot.IMAGE}.bytes"])
+        return memoryview(table.column(0).chunk(0).field(0)[0].as_buffer())
+
+
+def _numeric(column: pa.ChunkedArray) -> NDArray[Any]:
+    """A column of numbers or of fixed-length lists of them, as `(N,)` or `(N, length)`; NaN for nulls."""
+    array = column.combine_chunks()
+    if not pa.types.is_fixed_size_list(array.type):
+        return np.asarray(array.to_numpy(zero_copy_only=False))
+    values = np.full((len(array), array.type.list_size), np.nan)
+    present = np.asarray(array.is_valid())
+    values[present] = array.drop_null().flatten().to_numpy().reshape(-1, array.type.list_size)
+    return values

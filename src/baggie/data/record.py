@@ -1,0 +1,206 @@
+"""An attempt as one row of our own parquet: every number exact, every picture but the one before.
+
+The picture before lies in the LeRobot part of the dataset, once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from baggie.data.png import decode_color, decode_depth, encode_color, encode_depth
+from baggie.errors import DataError
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
+
+Record = dict[str, Any]
+"""The row of one attempt, by the columns of `SCHEMA`."""
+
+_INTRINSICS = pa.struct(
+    [
+        ("width", pa.int64()),
+        ("height", pa.int64()),
+        ("matrix", pa.list_(pa.float64(), 9)),
+        ("distortion", pa.list_(pa.float64())),
+    ]
+)
+_NUMBERS = pa.schema(
+    [
+        ("attempt_id", pa.int64()),
+        ("episode_index", pa.int64()),
+        ("task", pa.string()),
+        ("time", pa.float64()),
+        ("cell", pa.int64()),
+        ("seed", pa.int64()),
+        ("failure", pa.string()),
+        ("commanded", pa.list_(pa.float64(), 6)),
+        ("executed", pa.list_(pa.float64(), 6)),
+        ("grasp_width_m", pa.float64()),
+        ("release_width_m", pa.float64()),
+        ("pick_z_m", pa.float64()),
+        ("place_z_m", pa.float64()),
+        ("tries", pa.int64()),
+        ("timings_s", pa.map_(pa.string(), pa.float64())),
+        ("box_before", pa.list_(pa.float64(), 8)),
+        ("box_after", pa.list_(pa.float64(), 8)),
+        ("before_time", pa.float64()),
+        ("after_time", pa.float64()),
+        ("before_intrinsics", _INTRINSICS),
+        ("after_intrinsics", _INTRINSICS),
+        ("truth_before", pa.list_(pa.float64(), 3)),
+        ("truth_after", pa.list_(pa.float64(), 3)),
+        ("before_offset", pa.int64()),
+        ("before_length", pa.int64()),
+        ("histogram", pa.list_(pa.int32(), 3 * 256)),
+    ]
+)
+_PICTURES = pa.schema(
+    [("before_depth", pa.binary()), ("after_color", pa.binary()), ("after_depth", pa.binary())]
+)
+SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
+"""The columns of `attempts/`; docs/data-format.md says what each is."""
+NUMBERS = tuple(_NUMBERS.names)
+"""The columns that are no pictures."""
+
+
+def fit(attempt: Attempt, size: tuple[int, int]) -> Attempt:
+    """The same attempt with its pictures, intrinsics and box corners at `size` (width, height) pixels."""
+    after = attempt.after
+    return dataclasses.replace(
+        attempt,
+        before=attempt.before.resized(*size),
+        after=after.resized(*size) if after else None,
+        box_before=_scaled(attempt.box_before, attempt.before.size, size),
+        box_after=_scaled(attempt.box_after, (after or attempt.before).size, size),
+    )
+
+
+def _scaled(corners: FloatArray, old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
+    """Pixel corners `(4, 2)` in a resized picture; pixel centres are at integers."""
+    corners = np.asarray(corners, float)
+    return corners if old == new else (corners + 0.5) * np.divide(new, old) - 0.5
+
+
+def to_record(attempt: Attempt, episode_index: int, histogram: NDArray[np.int32]) -> Record:
+    """The row of an attempt whose pictures are at the recorded size already. Raises DataError.
+
+    `histogram` is `(3, 256)`: how many pixels of the picture before have each value, by channel (RGB). Where
+    that picture lies in its file is for the writer to fill in.
+    """
+    if attempt.box_before.shape != (4, 2) or attempt.box_after.shape != (4, 2):
+        raise DataError(
+            f"attempt {attempt.attempt_id}: box corners must be (4, 2) pixels, "
+            f"got {attempt.box_before.shape} and {attempt.box_after.shape}"
+        )
+    before, after, outcome, truth = attempt.before, attempt.after, attempt.outcome, attempt.truth
+    return {
+        "attempt_id": attempt.attempt_id,
+        "episode_index": episode_index,
+        "task": attempt.task,
+        "time": attempt.time,
+        "cell": attempt.cell,
+        "seed": attempt.seed,
+        "failure": outcome.failure,
+        "commanded": attempt.commanded.to_array(),
+        "executed": outcome.executed.to_array(),
+        "grasp_width_m": outcome.grasp_width_m,
+        "release_width_m": outcome.release_width_m,
+        "pick_z_m": outcome.pick_z_m,
+        "place_z_m": outcome.place_z_m,
+        "tries": outcome.tries,
+        "timings_s": list(outcome.timings_s.items()),
+        "box_before": attempt.box_before.ravel(),
+        "box_after": attempt.box_after.ravel(),
+        "before_time": before.time,
+        "after_time": after.time if after else None,
+        "before_intrinsics": _intrinsics_record(before.intrinsics),
+        "after_intrinsics": _intrinsics_record(after.intrinsics if after else None),
+        "truth_before": _pose_record(truth.before) if truth else None,
+        "truth_after": _pose_record(truth.after) if truth else None,
+        "before_offset": None,
+        "before_length": None,
+        "histogram": histogram.ravel(),
+        "before_depth": encode_depth(before.depth) if before.depth is not None else None,
+        "after_color": encode_color(after.color) if after else None,
+        "after_depth": encode_depth(after.depth) if after and after.depth is not None else None,
+    }
+
+
+def to_table(record: Record) -> pa.Table:
+    """A record as a table of one row. Raises DataError when a number does not fit its column."""
+    try:
+        return pa.Table.from_pydict({key: [value] for key, value in record.items()}, schema=SCHEMA)
+    except (pa.ArrowException, OverflowError, TypeError) as error:
+        raise DataError(f"attempt {record['attempt_id']} cannot be stored: {error}") from None
+
+
+def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> Attempt:
+    """The inverse of `to_record`; `before_png` is the picture before. Raises DataError naming `source`."""
+    before = Observation(
+        decode_color(before_png, source),
+        decode_depth(record["before_depth"], source) if record["before_depth"] else None,
+        _intrinsics(record["before_intrinsics"]),
+        record["before_time"],
+    )
+    after = None
+    if record["after_color"]:
+        after = Observation(
+            decode_color(record["after_color"], source),
+            decode_depth(record["after_depth"], source) if record["after_depth"] else None,
+            _intrinsics(record["after_intrinsics"]),
+            record["after_time"],
+        )
+    truth = None
+    if record["truth_before"] is not None:
+        truth = Truth(PlanarPose(*record["truth_before"]), PlanarPose(*record["truth_after"]))
+    return Attempt(
+        attempt_id=record["attempt_id"],
+        task=record["task"],
+        before=before,
+        after=after,
+        commanded=PickPlace.from_array(record["commanded"]),
+        outcome=Outcome(
+            executed=PickPlace.from_array(record["executed"]),
+            failure=record["failure"],
+            grasp_width_m=record["grasp_width_m"],
+            release_width_m=record["release_width_m"],
+            pick_z_m=record["pick_z_m"],
+            place_z_m=record["place_z_m"],
+            tries=record["tries"],
+            timings_s=dict(record["timings_s"]),
+        ),
+        box_before=np.reshape(record["box_before"], (4, 2)),
+        box_after=np.reshape(record["box_after"], (4, 2)),
+        cell=record["cell"],
+        seed=record["seed"],
+        time=record["time"],
+        truth=truth,
+    )
+
+
+def _pose_record(pose: PlanarPose) -> list[float]:
+    return [pose.x, pose.y, pose.yaw]
+
+
+def _intrinsics_record(camera: Intrinsics | None) -> Mapping[str, Any] | None:
+    if camera is None:
+        return None
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "matrix": np.ravel(camera.matrix),
+        "distortion": np.ravel(camera.distortion),
+    }
+
+
+def _intrinsics(record: Mapping[str, Any] | None) -> Intrinsics | None:
+    if record is None:
+        return None
+    matrix = np.reshape(np.array(record["matrix"], float), (3, 3))
+    return Intrinsics(record["width"], record["height"], matrix, np.array(record["distortion"], float))

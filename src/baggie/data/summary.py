@@ -1,0 +1,138 @@
+"""What a dataset holds: in numbers, and as a picture of pictures."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from baggie.data.dataset import Dataset, open_dataset
+from baggie.errors import DataError
+from baggie.geometry import FloatArray
+from baggie.types import Attempt, Image
+
+_CELL_M = 0.05
+"""Side of the squares that coverage counts."""
+_THUMBNAIL_WIDTH = 160
+_BORDER = 3
+_WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0, 200, 0)
+
+
+def inspect_dataset(root: Path | str) -> dict[str, Any]:
+    """What is in a dataset, as one JSON object.
+
+    `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how
+    many of its 5 cm squares were visited. `duration_s` spans from the first attempt's beginning to the last
+    one's end as far as the recorded times tell. Raises DataError where there is no dataset.
+    """
+    dataset = open_dataset(root)
+    files = [path for path in dataset.root.rglob("*") if path.is_file()]
+    failures = Counter(failure for failure in dataset.failures if failure is not None)
+    return {
+        "attempts": len(dataset),
+        "succeeded": len(dataset) - failures.total(),
+        "failed": dict(failures.most_common()),
+        "task": dataset.settings.task,
+        "robot_type": dataset.settings.robot_type,
+        "picture_size": list(dataset.settings.picture_size),
+        "attempt_ids": [int(f(dataset.attempt_ids)) for f in (np.min, np.max)] if len(dataset) else [],
+        **_durations(dataset),
+        "coverage": _coverage(dataset),
+        "megabytes": round(sum(path.stat().st_size for path in files) / 1e6, 1),
+        "collection": dict(dataset.collection),
+    }
+
+
+def _durations(dataset: Dataset) -> dict[str, Any]:
+    numbers = dataset.numbers()
+    if not len(dataset):
+        return {"duration_s": 0.0, "phases_s": {}}
+    end = np.fmax(numbers["time"], numbers["after_time"].astype(float))
+    phases = {name: numbers[name] for name in numbers if name.startswith("timings_s.")}
+    return {
+        "duration_s": round(float(end.max() - numbers["time"].min()), 3),
+        "phases_s": {
+            name.removeprefix("timings_s."): {
+                "mean": round(float(np.nanmean(seconds)), 3),
+                "max": round(float(np.nanmax(seconds)), 3),
+            }
+            for name, seconds in phases.items()
+            if np.isfinite(seconds).any()
+        },
+    }
+
+
+def _coverage(dataset: Dataset) -> dict[str, Any]:
+    executed = dataset.numbers()["executed"].reshape(-1, 2, 3)[..., :2].reshape(-1, 2)
+    points = executed[np.isfinite(executed).all(axis=1)]
+    if not len(points):
+        return {"x_m": [], "y_m": [], "squares": 0, "visited": 0}
+    squares = np.floor(points / _CELL_M).astype(int)
+    extent = squares.max(axis=0) - squares.min(axis=0) + 1
+    return {
+        "x_m": [round(float(points[:, 0].min()), 3), round(float(points[:, 0].max()), 3)],
+        "y_m": [round(float(points[:, 1].min()), 3), round(float(points[:, 1].max()), 3)],
+        "squares": int(extent.prod()),
+        "visited": len(np.unique(squares, axis=0)),
+    }
+
+
+def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit: int = 300) -> Path:
+    """Write one PNG of the attempts, `columns` a row: before and after, with the bag's box in each.
+
+    The box before (the pick) is blue, the box after (the place) green; failed attempts are framed red and say
+    why. Of more than `limit` attempts, as many are shown, evenly spread. Returns the path. Raises DataError.
+    """
+    dataset = open_dataset(root)
+    if not len(dataset):
+        raise DataError(f"{root} holds no attempts yet: collect some first")
+    if columns < 1 or limit < 1:
+        raise DataError(f"a contact sheet needs 1 column and 1 attempt or more, got {columns} and {limit}")
+    chosen = np.unique(np.linspace(0, len(dataset) - 1, min(limit, len(dataset))).round().astype(int))
+    tiles = [_tile(dataset[int(index)]) for index in chosen]
+    height, width = tiles[0].shape[:2]
+    rows = math.ceil(len(tiles) / columns)
+    sheet = np.full((rows * height, min(columns, len(tiles)) * width, 3), 255, np.uint8)
+    for place, tile in enumerate(tiles):
+        top, left = place // columns * height, place % columns * width
+        sheet[top : top + height, left : left + width] = tile
+    path = Path(out_png)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]))
+    except OSError as error:
+        raise DataError(f"{path} cannot be written: {error.strerror}") from None
+    return path
+
+
+def _tile(attempt: Attempt) -> Image:
+    """One attempt: the picture before beside the picture after, framed."""
+    before = _thumbnail(attempt.before.color, {_BLUE: attempt.box_before})
+    after = np.full_like(before, 128)
+    if attempt.after is not None:
+        after = _thumbnail(attempt.after.color, {_GREEN: attempt.box_after})
+    pair = np.hstack([before, after])
+    label = f"{attempt.attempt_id}" + (f" {attempt.outcome.failure}" if attempt.outcome.failure else "")
+    for color, thickness in (((0, 0, 0), 3), (_WHITE, 1)):
+        cv2.putText(pair, label, (5, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, thickness, cv2.LINE_AA)
+    frame = _WHITE if attempt.outcome.success else _RED
+    height, width = pair.shape[:2]
+    tile = np.full((height + 2 * _BORDER, width + 2 * _BORDER, 3), frame, np.uint8)
+    tile[_BORDER:-_BORDER, _BORDER:-_BORDER] = pair
+    return tile
+
+
+def _thumbnail(picture: Image, boxes: dict[tuple[int, int, int], FloatArray]) -> Image:
+    """A small copy with boxes `(4, 2)` pixels (u, v) of the large one drawn in, by colour; NaN: not drawn."""
+    factor = _THUMBNAIL_WIDTH / picture.shape[1]
+    size = (_THUMBNAIL_WIDTH, max(1, round(picture.shape[0] * factor)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    for color, corners in boxes.items():
+        if np.isfinite(corners).all():
+            fixed = np.round(((corners + 0.5) * factor - 0.5) * 16).astype(np.int32)
+            cv2.polylines(small, [fixed], True, color, 1, cv2.LINE_AA, 4)
+    return np.asarray(small, np.uint8)

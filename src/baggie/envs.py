@@ -1,0 +1,106 @@
+"""Gymnasium environments: one step is one whole pick and place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from baggie.errors import LimitError, ReachError
+from baggie.geometry import PlanarPose
+from baggie.types import Goal, PickPlace
+
+if TYPE_CHECKING:
+    from baggie.types import Image
+    from baggie.workcell.simulated import SimulatedWorkcell
+
+PICTURE_SIZE = (640, 360)
+SUCCESS_RADIUS_M = 0.02
+MIN_CARRY_M = 0.20
+
+ObservationDict = dict[str, Any]
+
+
+def register() -> None:
+    """Make the environments known to `gymnasium.make`; gymnasium calls this by itself once Baggie is installed."""
+    gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
+
+
+class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
+    """Move the bag onto the goal.
+
+    Observation: `color` `(360, 640, 3)` uint8 RGB, the overhead picture with the arm out of the way; `goal` `(4, 2)`
+    float32, corners of the goal's outline in it, pixels (u, v).
+    Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame.
+    Reward: minus the distance from bag to goal in metres. Terminated within 2 cm. An action the arm refuses (outside
+    its limits or reach) moves nothing; `info["refused"]` says why. `info`: `distance_m`, `outcome` where it moved.
+    Options of `reset`: none. The same seed gives the same scene.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 -- Gymnasium's own convention
+
+    def __init__(self, cell: int = 0, render_mode: str | None = None) -> None:
+        from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
+
+        self.render_mode = render_mode
+        self._workcell: SimulatedWorkcell = open_simulated(cell)
+        width, height = PICTURE_SIZE
+        area = self._workcell.settings.workspace
+        low = np.array([area.x_min, area.y_min, -np.pi] * 2, np.float32)
+        high = np.array([area.x_max, area.y_max, np.pi] * 2, np.float32)
+        self.action_space = spaces.Box(low, high, dtype=np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "color": spaces.Box(0, 255, (height, width, 3), np.uint8),
+                "goal": spaces.Box(-float(width), 2.0 * width, (4, 2), np.float32),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ObservationDict, dict[str, Any]]:
+        """A new scene and a goal at least 20 cm from the bag."""
+        super().reset(seed=seed)
+        self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
+        bag = self._workcell.truth()
+        while True:
+            x, y = self._workcell.settings.workspace.sample(self.np_random, margin=0.02)
+            self._goal = PlanarPose(float(x), float(y))
+            if bag.distance(self._goal) >= MIN_CARRY_M:
+                break
+        return self._observe(), {"distance_m": bag.distance(self._goal)}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
+        """Execute one pick and place."""
+        info: dict[str, Any] = {}
+        try:
+            info["outcome"] = self._workcell.execute(PickPlace.from_array(np.asarray(action, float)))
+        except (LimitError, ReachError) as error:
+            info["refused"] = str(error)
+        observation = self._observe()
+        distance = self._workcell.truth().distance(self._goal)
+        info["distance_m"] = distance
+        return observation, -distance, distance <= SUCCESS_RADIUS_M, False, info
+
+    def render(self) -> Image | None:
+        """The overhead picture with the goal painted in, `(360, 640, 3)`, in mode `rgb_array`."""
+        if self.render_mode != "rgb_array":
+            return None
+        from baggie.vision.draw import paint_goal  # noqa: PLC0415
+
+        return paint_goal(self._color, Goal(self._corners))
+
+    def close(self) -> None:
+        """Free the simulator."""
+        self._workcell.close()
+
+    def _observe(self) -> ObservationDict:
+        observation = self._workcell.look()
+        width, height = PICTURE_SIZE
+        factors = width / observation.size[0], height / observation.size[1]
+        self._corners = Goal(self._workcell.goal_corners(self._goal)).scaled(*factors).corners
+        self._color = observation.resized(width, height).color
+        return {"color": self._color, "goal": self._corners.astype(np.float32)}

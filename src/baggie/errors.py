@@ -1,0 +1,21 @@
+"""Errors a user can act on: each says what was expected, what came, and what to do next."""
+
+
+class BaggieError(Exception):
+    """Something could not be done; the message is one line fit for `error: ...` on a terminal."""
+
+
+class LimitError(BaggieError):
+    """A motion would have left the workcell's limits; nothing was sent to the arm."""
+
+
+class ReachError(BaggieError):
+    """The arm cannot reach a pose, or did not get there."""
+
+
+class CameraError(BaggieError):
+    """The camera gave no (fresh) picture."""
+
+
+class DataError(BaggieError):
+    """A file of a recording or a checkpoint is missing, cut off, or of another kind than asked for."""

@@ -1,0 +1,109 @@
+"""Numbers that stand for many: summaries, success rates with their interval, errors in centimetres."""
+
+from __future__ import annotations
+
+import math
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from baggie.geometry import PlanarPose, wrap_angle
+from baggie.types import Attempt, PickPlace
+
+Z_95 = 1.959963984540054
+"""The 97.5th percentile of the standard normal: two-sided 95%."""
+
+
+class Summary(TypedDict):
+    """Five numbers for a list of measurements, in the unit of the key they stand under."""
+
+    mean: float
+    median: float
+    p95: float
+    max: float
+    n: int
+
+
+class Rate(TypedDict):
+    """A success rate with its 95% interval; all in [0, 1]."""
+
+    rate: float
+    low: float
+    high: float
+    n: int
+
+
+def summary(values: ArrayLike) -> Summary:
+    """Mean, median, 95th percentile (linear interpolation), maximum and count of `(N,)` finite numbers.
+
+    Raises `ValueError` when there are none or one is not finite: the result would read like a measurement.
+
+    >>> summary([1.0, 2.0, 6.0])
+    {'mean': 3.0, 'median': 2.0, 'p95': 5.6, 'max': 6.0, 'n': 3}
+    """
+    array = np.asarray(values, float).reshape(-1)
+    if array.size == 0 or not np.isfinite(array).all():
+        raise ValueError(f"a summary needs at least one number, all finite; got {array.tolist()[:5]}")
+    return {
+        "mean": float(array.mean()),
+        "median": float(np.median(array)),
+        "p95": float(np.percentile(array, 95)),
+        "max": float(array.max()),
+        "n": int(array.size),
+    }
+
+
+def success_rate(successes: int, n: int) -> Rate:
+    """The rate of `successes` among `n` trials with its 95% score interval.
+
+    The interval holds every p whose score test does not reject the count seen: the roots of
+    (p̂ - p)² = z² p (1 - p) / n. Unlike p̂ ± z √(p̂ (1 - p̂) / n) it stays inside [0, 1], and never has no width.
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+    Journal of the American Statistical Association 22 (1927), 209-212.
+
+    >>> success_rate(0, 4)["low"], round(success_rate(0, 4)["high"], 3)
+    (0.0, 0.49)
+    """
+    if n < 1 or not 0 <= successes <= n:
+        raise ValueError(f"successes must be between 0 and n, and n at least 1; got {successes} of {n}")
+    rate = successes / n
+    z2_n = Z_95**2 / n
+    center = (rate + z2_n / 2) / (1 + z2_n)
+    half = Z_95 / (1 + z2_n) * math.sqrt(rate * (1 - rate) / n + z2_n / (4 * n))
+    # Rounding leaves bounds of 1e-17 and 1 - 1e-16 where the roots are exactly 0 and 1.
+    low = 0.0 if successes == 0 else center - half
+    high = 1.0 if successes == n else center + half
+    return {"rate": rate, "low": low, "high": high, "n": n}
+
+
+def position_error_cm(a: PlanarPose, b: PlanarPose) -> float:
+    """Centimetres between the positions of two poses; yaw plays no part."""
+    return 100 * a.distance(b)
+
+
+def yaw_error_deg(a: PlanarPose, b: PlanarPose, symmetry: int = 4) -> float:
+    """Degrees between the yaws of two poses of an object that looks the same `symmetry` times a turn."""
+    return abs(math.degrees(wrap_angle(a.yaw - b.yaw, 2 * math.pi / symmetry)))
+
+
+def references(attempt: Attempt) -> dict[str, PickPlace]:
+    """What a plan for an attempt is measured against.
+
+    `labels`: the poses the arm was really at. `truth`, where it is known: the object's pose before the
+    attempt for the pick, and after it for the place.
+    """
+    found = {"labels": attempt.outcome.executed}
+    if attempt.truth is not None:
+        found["truth"] = PickPlace(attempt.truth.before, attempt.truth.after)
+    return found
+
+
+def action_errors(planned: PickPlace, right: PickPlace) -> dict[str, float]:
+    """How far an action is off; units in the keys."""
+    return {
+        "pick_error_cm": position_error_cm(planned.pick, right.pick),
+        "place_error_cm": position_error_cm(planned.place, right.place),
+        "pick_yaw_error_deg": yaw_error_deg(planned.pick, right.pick),
+        "place_yaw_error_deg": yaw_error_deg(planned.place, right.place),
+    }

@@ -1,0 +1,41 @@
+"""`baggie report`: one page, complete in itself, that shows how good a policy is and how it was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from baggie.evaluation.report_data import gather
+from baggie.evaluation.report_sections import content
+from baggie.evaluation.results import write_text
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Put everything that is known about some runs on one self-contained page.
+
+    Example: baggie report runs/keypoint runs/color-mask --out report.html
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders that train, validate or evaluate wrote, or folders of such."""
+    out: Path = Path("report.html")
+    """The page."""
+    title: str = "Bags onto goals"
+    """Its heading."""
+
+
+def report(options: ReportOptions) -> Path:
+    """Write the page and return its path.
+
+    Raises `BaggieError` when the folders hold no results, `DataError` when results are broken.
+    """
+    loader = PackageLoader("baggie.evaluation", ".")
+    page = Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(
+        "report.html.j2"
+    )
+    write_text(options.out, page.render(title=options.title, **content(gather(options.runs))))
+    return options.out

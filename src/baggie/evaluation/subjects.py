@@ -1,0 +1,46 @@
+"""Whom an evaluation is about: what `--policy` may name."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from baggie.errors import BaggieError
+from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
+
+NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
+"""Policies that are not loaded from anywhere."""
+CALIBRATION_FOLDER = "calibration"
+"""Where a recording keeps the colour-mask policy of its cell."""
+
+
+def open_policy(policy: str, calibration: Path | None) -> Policy:
+    """The policy of a run's folder or a Hub id, or `color-mask` with the calibration of a recording.
+
+    Raises `BaggieError` when there is none.
+    """
+    if policy == OraclePolicy.name:
+        raise BaggieError("the oracle reads the simulator's truth: it can only be evaluated in a cell")
+    if policy != ColorMaskPolicy.name:
+        return load_policy(policy)
+    if calibration is None:
+        raise BaggieError("color-mask needs a calibration: give --calibration a recording of the cell")
+    inside = calibration / CALIBRATION_FOLDER
+    return ColorMaskPolicy.load(inside if inside.is_dir() else calibration)
+
+
+def config_of(policy: str) -> dict[str, Any]:
+    """The `config.yaml` of a run's folder or a Hub id; empty for a policy known by name."""
+    return {} if policy in NAMED else checkpoint.read_config(checkpoint.fetch(policy))
+
+
+def policy_name(policy: str) -> str:
+    """What `--policy` names: `keypoint` for the folder or Hub id of such a run, itself for a name."""
+    return policy if policy in NAMED else str(config_of(policy)["policy"])
+
+
+def fingerprint(policy: str) -> str:
+    """Changes when a run is trained again: the hash of its weights; empty for what has none."""
+    weights = Path(policy) / checkpoint.WEIGHTS
+    return hashlib.sha256(weights.read_bytes()).hexdigest()[:16] if weights.exists() else ""

@@ -1,0 +1,130 @@
+"""Planar poses, rigid transforms and homographies.
+
+`T_a_b` maps points of frame b into frame a. Metres and radians; pixels are `(u, v)`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def wrap_angle(angle: float, period: float = 2 * math.pi) -> float:
+    """The angle (radians) modulo `period`, in [-period/2, period/2)."""
+    return (angle + period / 2) % period - period / 2
+
+
+@dataclass(frozen=True)
+class PlanarPose:
+    """A pose on the table in the robot's base frame: x forward, y left (metres), yaw about z (radians).
+
+    As an element of SE(2), `a @ b` composes and `a.inverse()` inverts:
+
+    >>> a = PlanarPose(0.4, 0.1, 0.5)
+    >>> a @ a.inverse()
+    PlanarPose(x=0.0, y=0.0, yaw=0.0)
+    """
+
+    x: float
+    y: float
+    yaw: float = 0.0
+
+    @property
+    def xy(self) -> FloatArray:
+        """`(2,)` metres."""
+        return np.array([self.x, self.y])
+
+    def matrix(self) -> FloatArray:
+        """`(3, 3)` homogeneous transform of the plane."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[c, -s, self.x], [s, c, self.y], [0.0, 0.0, 1.0]])
+
+    def inverse(self) -> PlanarPose:
+        """The pose of the base seen from this pose."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return PlanarPose(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.yaw))
+
+    def __matmul__(self, other: PlanarPose) -> PlanarPose:
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return PlanarPose(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrap_angle(self.yaw + other.yaw),
+        )
+
+    def distance(self, other: PlanarPose) -> float:
+        """Metres between the two positions; yaw plays no part."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+    def at_height(self, z: float) -> ToolPose:
+        """The tool pointing straight down at this pose, its tip `z` metres above the table."""
+        return ToolPose(self.x, self.y, z, self.yaw)
+
+
+@dataclass(frozen=True)
+class ToolPose:
+    """The tool (point between the fingertips) pointing straight down, in the robot's base frame.
+
+    Metres and radians; z is the height above the base frame's xy plane, which is the table top.
+    At yaw 0 the fingers open along y.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float = 0.0
+
+    @property
+    def planar(self) -> PlanarPose:
+        """The same pose without its height."""
+        return PlanarPose(self.x, self.y, self.yaw)
+
+    @property
+    def xyz(self) -> FloatArray:
+        """`(3,)` metres."""
+        return np.array([self.x, self.y, self.z])
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """An axis-aligned rectangle of the table in the robot's base frame, metres."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+
+    def contains(self, x: float, y: float, margin: float = 0.0) -> bool:
+        """Whether (x, y) lies inside, at least `margin` metres from the edge."""
+        inside_x = self.x_min + margin <= x <= self.x_max - margin
+        return inside_x and self.y_min + margin <= y <= self.y_max - margin
+
+    def sample(self, rng: np.random.Generator, margin: float = 0.0) -> FloatArray:
+        """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres."""
+        low = [self.x_min + margin, self.y_min + margin]
+        high = [self.x_max - margin, self.y_max - margin]
+        return rng.uniform(low, high)
+
+    def __str__(self) -> str:
+        return f"x {self.x_min:.2f}..{self.x_max:.2f} m, y {self.y_min:.2f}..{self.y_max:.2f} m"
+
+
+def apply_homography(matrix: ArrayLike, points: ArrayLike) -> FloatArray:
+    """Map points through a homography: `(3, 3)`, `(N, 2)` -> `(N, 2)`."""
+    homogeneous = np.c_[np.atleast_2d(np.asarray(points, float)), np.ones(len(np.atleast_2d(points)))]
+    mapped = homogeneous @ np.asarray(matrix, float).T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:], float)
+
+
+def invert_transform(transform: ArrayLike) -> FloatArray:
+    """The inverse of a rigid transform: `T_a_b` `(4, 4)` -> `T_b_a` `(4, 4)`."""
+    t = np.asarray(transform, float)
+    result = np.eye(4)
+    result[:3, :3] = t[:3, :3].T
+    result[:3, 3] = -t[:3, :3].T @ t[:3, 3]
+    return result

@@ -1,0 +1,163 @@
+"""The training loop: one for every policy that learns."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from accelerate import Accelerator
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.utils.tensorboard import SummaryWriter
+
+from baggie.learning.background import deferred_interrupt, flushed_denormals, prefetched
+from baggie.learning.measure import measure
+from baggie.learning.recipe import Batch, Recipe
+from baggie.learning.state import Every, State
+from baggie.policies.learned import LearnedPolicy
+from baggie.types import Attempt
+
+_LOGGED = 200
+"""Points in a loss curve."""
+_MEASURED = 4
+"""Looks at the validation attempts on the way: to be seen, never to choose by."""
+
+
+class Training:
+    """A recipe at work in a folder. `run` goes from the step last saved to the end and returns the seconds it
+    took.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        folder: Path,
+        *,
+        steps: int,
+        seed: int,
+        save_every_s: float,
+        accelerator: Accelerator,
+    ) -> None:
+        """Take up what is saved in the folder, if anything is. Raises `DataError` when that is damaged."""
+        self.recipe, self.folder, self.steps, self.seed = recipe, folder, steps, seed
+        self._accelerator = accelerator
+        network = recipe.policy.network.to(accelerator.device)
+        optimizer = recipe.optimizer()
+        self._rates = [float(group["lr"]) for group in optimizer.param_groups]
+        average = None
+        if recipe.average:
+            average = AveragedModel(network, multi_avg_fn=_averaging(steps), use_buffers=True)
+        self._state = State(network, optimizer, average)
+        self._state.load(folder)
+        self._model, self._optimizer = accelerator.prepare(network, optimizer)
+        self._save_now = Every(save_every_s)
+
+    @property
+    def policy(self) -> LearnedPolicy:
+        """The policy with the weights it would have if the training ended now."""
+        policy = copy.copy(self.recipe.policy)
+        policy.network = self._state.network if self._state.average is None else self._state.average.module
+        return policy
+
+    def run(self, val: Sequence[Attempt]) -> float:
+        """Learn to the end; the seconds that took, over all runs. `val` is measured now and then, for the
+        log.
+
+        Ctrl-C saves and raises KeyboardInterrupt, whose message says how to go on.
+        """
+        state = self._state
+        with (
+            SummaryWriter(str(self.folder), purge_step=state.step) as board,
+            _progress(self._accelerator) as progress,
+            deferred_interrupt() as interrupted,
+            flushed_denormals(),
+        ):
+            bar = progress.add_task(self.policy.name, total=self.steps, completed=state.step, loss="")
+            began = time.monotonic() - state.seconds
+            for batch in prefetched(self._batch, range(state.step, self.steps)):
+                loss, parts = self._step(batch)
+                state.seconds = time.monotonic() - began
+                if not self._accelerator.is_main_process:
+                    continue
+                progress.update(bar, completed=state.step)
+                if state.step % max(1, self.steps // _LOGGED) == 0:
+                    self._log(board, progress, bar, loss, parts)
+                if state.step % max(1, self.steps // _MEASURED) == 0:
+                    self._log_validation(board, val)
+                if interrupted.is_set() or state.step == self.steps or self._save_now():
+                    state.save(self.folder)
+                if interrupted.is_set() and state.step < self.steps:
+                    raise KeyboardInterrupt(
+                        f"stopped after {state.step} of {self.steps} steps, which are saved in "
+                        f"{self.folder}: "
+                        "run the same command again to go on"
+                    )
+        return state.seconds
+
+    def _batch(self, step: int) -> Batch:
+        return self.recipe.batch(np.random.default_rng([self.seed, step, self._accelerator.process_index]))
+
+    def _step(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        self._model.train()
+        rate = self.recipe.rate(self._state.step / self.steps)
+        for group, highest in zip(self._optimizer.param_groups, self._rates, strict=True):
+            group["lr"] = highest * rate
+        moved = {name: tensor.to(self._accelerator.device) for name, tensor in batch.items()}
+        loss, parts = self.recipe.loss(self._model, moved)
+        self._accelerator.backward(loss)
+        if self.recipe.max_gradient is not None:
+            self._accelerator.clip_grad_norm_(self._model.parameters(), self.recipe.max_gradient)
+        self._optimizer.step()
+        self._optimizer.zero_grad()
+        if self._state.average is not None:
+            self._state.average.update_parameters(self._state.network)
+        self._state.step += 1
+        return loss.detach(), parts
+
+    def _log(
+        self, board: SummaryWriter, progress: Progress, bar: TaskID, loss: Tensor, parts: dict[str, Tensor]
+    ) -> None:
+        progress.update(bar, loss=f"loss {loss.item():.3f}")
+        for name, value in {"loss": loss, **parts}.items():
+            board.add_scalar(f"train/{name}", value.item(), self._state.step)
+
+    def _log_validation(self, board: SummaryWriter, val: Sequence[Attempt]) -> None:
+        for name, values in measure(self.policy, val).get("labels", {}).items():
+            board.add_scalar(f"val/{name}", values["mean"], self._state.step)
+
+
+Tensors = tuple[Tensor, ...] | list[Tensor]
+
+
+def _averaging(steps: int) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """Exponential averaging over about the last 100 steps; fewer in a short training."""
+    decay = min(0.99, steps / (steps + 10))
+    average: Callable[[Tensors, Tensors, Tensor | int], None]
+    average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # untyped in torch
+    return average
+
+
+def _progress(accelerator: Accelerator) -> Progress:
+    return Progress(
+        TextColumn("training {task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[loss]}"),
+        console=Console(stderr=True),
+        disable=not accelerator.is_main_process,
+    )

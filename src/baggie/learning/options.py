@@ -1,0 +1,47 @@
+"""What can be said about a training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from baggie.types import GoalStyle
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Teach a policy from recorded attempts. Run again with the same words, it goes on where it was stopped.
+
+    Example: baggie train --policy keypoint --data recordings/bags --out runs/keypoint
+    """
+
+    data: Path
+    """The recording."""
+    out: Path
+    """The run's folder: config.yaml, policy.safetensors, metrics.json, TensorBoard events, what is needed to
+    resume.
+    """
+    policy: Literal["keypoint", "regression"] = "keypoint"
+    """`keypoint` is ours; `regression` the published baseline."""
+    train: int = 200
+    """How many attempts to learn from: the first successful ones, by attempt id."""
+    val: int = 50
+    """How many attempts to measure on: the next successful ones."""
+    seed: int = 0
+    """Of the first weights and of all batches."""
+    steps: int | None = None
+    """Batches to learn from; by default 600 of 8 for keypoint, 10,000 of 1 for regression."""
+    device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
+    """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train
+    ...`.
+    """
+    goal_style: GoalStyle = "solid"
+    """regression: how goals are painted into its pictures. keypoint sees the region only."""
+    goal_color: tuple[int, int, int] = (0, 200, 0)
+    """regression: the colour of painted goals, RGB."""
+    weights: str | None = None
+    """regression: ImageNet weights to start from, a .pth or .safetensors file or a Hub id; none by default.
+    """
+    save_every_s: float = 30.0
+    """Seconds between saves of the state: what a kill can cost."""

@@ -1,0 +1,69 @@
+"""How the `regression` policy is taught: exactly as published."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.optim import Adam, Optimizer
+
+from baggie.data.annotation import goal_of
+from baggie.learning.recipe import Batch
+from baggie.policies.regression import RegressionNet, RegressionPolicy
+from baggie.policies.resnet import load_imagenet
+from baggie.types import Attempt, GoalStyle
+
+
+class RegressionRecipe:
+    """L1 on metres, Adam at 1e-4, one picture a step; both networks learn side by side."""
+
+    steps: ClassVar[int] = 10_000
+    average: ClassVar[bool] = False
+    max_gradient: ClassVar[float | None] = None
+    policy: RegressionPolicy
+
+    def __init__(
+        self,
+        attempts: Sequence[Attempt],
+        goal_style: GoalStyle,
+        goal_color: tuple[int, int, int],
+        weights: str | None,
+    ) -> None:
+        """`weights`: see `load_imagenet`; raises its errors."""
+        network = RegressionNet()
+        if weights is not None:
+            imagenet = load_imagenet(weights)
+            network.pick.resnet.load_state_dict(imagenet)
+            network.place.resnet.load_state_dict(imagenet)
+        first = attempts[0]
+        self.policy = RegressionPolicy(network, first.before.size, first.cell, goal_style, goal_color)
+        self._attempts = attempts
+
+    def optimizer(self) -> Optimizer:
+        """Adam over both networks: as it treats every number alone, the same as one for each."""
+        return Adam(self.policy.network.parameters(), lr=1e-4)
+
+    def rate(self, progress: float) -> float:
+        """Always the same."""
+        return 1.0
+
+    def batch(self, rng: np.random.Generator) -> Batch:
+        """`images` `(1, 3, 224, 224)` uint8 with the goal painted in, `xy` `(1, 2, 2)` metres."""
+        attempt = self._attempts[int(rng.integers(len(self._attempts)))]
+        image = self.policy.painted(attempt.before.color, goal_of(attempt))
+        executed = attempt.outcome.executed
+        xy = np.stack([executed.pick.xy, executed.place.xy])
+        return {
+            "images": torch.from_numpy(image.transpose(2, 0, 1).copy()).unsqueeze(0),
+            "xy": torch.from_numpy(xy).float().unsqueeze(0),
+        }
+
+    def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """The sum of both networks' mean absolute errors, metres: each gets the gradient of its own."""
+        found: Tensor = network(batch["images"])
+        off = (found - batch["xy"]).abs().mean(dim=(0, 2))
+        error_cm = 100 * torch.linalg.vector_norm((found - batch["xy"]).detach(), dim=-1).mean(dim=0)
+        return off.sum(), {"pick_error_cm": error_cm[0], "place_error_cm": error_cm[1]}

@@ -1,0 +1,115 @@
+"""`baggie train`: from a recording to a policy in a folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from accelerate import Accelerator
+from rich.console import Console
+
+from baggie.data import open_dataset
+from baggie.data.files import read_json
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation.results import provenance
+from baggie.learning.keypoint import KeypointRecipe
+from baggie.learning.loop import Training
+from baggie.learning.measure import measure
+from baggie.learning.options import TrainOptions
+from baggie.learning.recipe import Recipe
+from baggie.learning.regression import RegressionRecipe
+from baggie.learning.split import RULE, Split
+from baggie.policies import checkpoint
+from baggie.policies.learned import LearnedPolicy
+from baggie.types import Attempt
+
+METRICS = "metrics.json"
+
+
+def train(options: TrainOptions, attempts: Sequence[Attempt] | None = None) -> dict[str, Any]:
+    """Train a policy, or go on with it, or find it finished; returns what stands in its `metrics.json`.
+
+    `attempts` replaces the recording that `options.data` names. The last weights (the last average of them,
+    where the recipe keeps one) are the result, by rule: nothing is chosen by looking. The truth of simulated
+    attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
+    KeyboardInterrupt, whose message says how to go on, when stopped.
+    """
+    accelerator = _accelerator(options.device)
+    split = Split.of(open_dataset(options.data) if attempts is None else attempts, options.train, options.val)
+    torch.manual_seed(options.seed)
+    recipe = _recipe(options, split.train)
+    steps = options.steps or recipe.steps
+    recipe.policy.training = _record(options, split, steps)
+    _claim(options, recipe.policy, accelerator)
+    if (options.out / METRICS).exists():
+        note = f"{options.out} holds this very training, finished; to train again, give another --out"
+        Console(stderr=True).print(note)
+        finished: dict[str, Any] = read_json(options.out / METRICS)
+        return finished
+    training = Training(
+        recipe,
+        options.out,
+        steps=steps,
+        seed=options.seed,
+        save_every_s=options.save_every_s,
+        accelerator=accelerator,
+    )
+    seconds = training.run(split.val)
+    policy = training.policy
+    metrics = {
+        "policy": policy.name,
+        "steps": steps,
+        "train_s": seconds,
+        **measure(policy, split.val),
+        "provenance": provenance([options.seed]),
+    }
+    if accelerator.is_main_process:
+        policy.save_pretrained(options.out)
+        content = json.dumps(metrics, indent=2, allow_nan=False).encode()
+        checkpoint.write_files(options.out, {METRICS: content})  # last: where it is, all is there
+    return metrics
+
+
+def _accelerator(device: str) -> Accelerator:
+    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if not there.get(device, True):
+        raise BaggieError(f"device {device} was asked for, but PyTorch finds none here: take --device auto")
+    return Accelerator(cpu=device == "cpu")
+
+
+def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
+    if options.policy == "regression":
+        return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
+    if options.weights is not None:
+        raise BaggieError("--weights are for the regression policy: keypoint learns from the attempts alone")
+    return KeypointRecipe(attempts)
+
+
+def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
+    """What `config.yaml` says of the training: all that decides its result."""
+    return {
+        "data": str(options.data),
+        "seed": options.seed,
+        "steps": steps,
+        "weights": options.weights,
+        "split": {
+            "rule": RULE,
+            "train": [attempt.attempt_id for attempt in split.train],
+            "val": [attempt.attempt_id for attempt in split.val],
+        },
+    }
+
+
+def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerator) -> None:
+    """Make the run's folder with its config, or check that an existing one is of this very training."""
+    path = options.out / checkpoint.CONFIG
+    if path.exists():
+        if checkpoint.read_config(options.out) != policy.config():
+            raise DataError(
+                f"{options.out} holds a training with other options or data: give another --out, or delete it"
+            )
+    elif accelerator.is_main_process:
+        checkpoint.write_files(options.out, {checkpoint.CONFIG: checkpoint.config_bytes(policy.config())})
+    accelerator.wait_for_everyone()

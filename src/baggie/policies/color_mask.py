@@ -1,0 +1,87 @@
+"""The baseline: find the object by its colour and map pixels to the robot with a fitted homography."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from baggie.calibration.homography import ImageToRobot
+from baggie.errors import BaggieError, DataError
+from baggie.files import write_text
+from baggie.geometry import FloatArray, PlanarPose, wrap_angle
+from baggie.types import Goal, Observation, PickPlace, Plan
+from baggie.vision.color_mask import find_bag
+
+CONFIG_FILE = "config.yaml"
+MAP_FILE = "image-to-robot.yaml"
+
+
+class ColorMaskPolicy:
+    """Picks the object where its colour is, places it where the goal's outline is; right in one cell."""
+
+    name = "color-mask"
+
+    def __init__(self, image_to_robot: ImageToRobot, object_color: tuple[int, int, int]) -> None:
+        """Use a map fitted in the cell the pictures come from, and the object's RGB colour."""
+        self.image_to_robot = image_to_robot
+        self.object_color = object_color
+
+    def plan(self, observation: Observation, goal: Goal) -> Plan:
+        """Where to pick and where to place; yaws modulo a quarter turn.
+
+        Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
+        picture has another shape than those the map was fitted to.
+        """
+        width, height = observation.size
+        u, v = goal.center
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            raise BaggieError(
+                f"expected a goal inside the picture of {width} x {height} pixels, got its centre at "
+                f"({u:.0f}, {v:.0f}); mark a place that is in view"
+            )
+        to_robot = self.image_to_robot.for_size(observation.size)
+        found = find_bag(observation.color, self.object_color)
+        if found is None:
+            raise BaggieError(
+                f"expected an object of colour RGB {self.object_color} in the picture, found none; "
+                "bring it into view or choose another colour"
+            )
+        pick = _pose(to_robot, found.center, found.yaw)
+        place = _pose(to_robot, goal.center, _goal_yaw(goal))
+        return Plan(PickPlace(pick, place), found.confidence, {"object": found.mask.astype(np.float32)})
+
+    def save(self, folder: Path) -> None:
+        """Write `image-to-robot.yaml`, then `config.yaml`: where that is, all is."""
+        self.image_to_robot.save(folder / MAP_FILE)
+        config = {"policy": self.name, "object_color": list(self.object_color)}
+        write_text(folder / CONFIG_FILE, yaml.safe_dump(config, sort_keys=False, default_flow_style=None))
+
+    @classmethod
+    def load(cls, folder: Path) -> ColorMaskPolicy:
+        """Read what `save` wrote. Raises `DataError` when a file is missing or of another policy."""
+        path = folder / CONFIG_FILE
+        try:
+            config = yaml.safe_load(path.read_text())
+            if config["policy"] != cls.name:
+                raise ValueError(f"policy {config['policy']}")
+            red, green, blue = (int(value) for value in config["object_color"])
+        except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+            raise DataError(
+                f"expected a {cls.name} policy in {path}, got {error!r}; give its folder"
+            ) from error
+        return cls(ImageToRobot.load(folder / MAP_FILE), (red, green, blue))
+
+
+def _pose(to_robot: ImageToRobot, pixel: FloatArray, yaw: float) -> PlanarPose:
+    x, y = to_robot.to_robot(pixel)[0]
+    return PlanarPose(float(x), float(y), to_robot.yaw_to_robot(pixel, yaw))
+
+
+def _goal_yaw(goal: Goal) -> float:
+    """Image angle of the goal's edges, radians in [-pi/4, pi/4)."""
+    _, _, degrees = cv2.minAreaRect(goal.corners.astype(np.float32))
+    return wrap_angle(math.radians(degrees), math.pi / 2)

@@ -1,0 +1,138 @@
+"""What the learned policies share: the picture they were trained on, saving, loading, the Hub."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Self
+
+import huggingface_hub
+import torch
+from torch import nn
+
+from baggie.errors import BaggieError, DataError
+from baggie.policies import checkpoint
+from baggie.types import Goal, Image, Observation, Plan
+from baggie.vision.draw import check_goal
+
+_CARD = """\
+---
+library_name: baggie
+tags: [robotics, pick-and-place, baggie, {name}]
+---
+
+# A `{name}` policy of Baggie
+
+Maps a picture and a goal in it to pick and place poses (metres, radians, robot base frame). It belongs to the
+one workcell whose pictures it was trained on (cell {cell}, pictures of {width} x {height} pixels): another
+camera, or the same one moved, needs its own. How it was trained, and on which attempts, is in `config.yaml`.
+
+```python
+import baggie
+
+policy = baggie.load_policy("{repo}")
+plan = policy.plan(observation, goal)
+```
+"""
+
+
+class LearnedPolicy(ABC):
+    """A network that belongs to one cell. Subclasses say how to build it and how to plan with it."""
+
+    name: str
+
+    def __init__(self, network: nn.Module, picture_size: tuple[int, int], cell: int) -> None:
+        """`picture_size`: `(width, height)` of its training pictures; `cell`: where they were taken."""
+        self.network = network
+        self.picture_size = picture_size
+        self.cell = cell
+        self.training: Mapping[str, Any] = {}
+        """How it was trained, as it stands in its config; empty for one that was not."""
+
+    @abstractmethod
+    def model_config(self) -> dict[str, Any]:
+        """What `build` needs besides picture size and cell, in plain YAML types."""
+
+    @classmethod
+    @abstractmethod
+    def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
+        """The policy with an untrained network."""
+
+    @abstractmethod
+    def plan(self, observation: Observation, goal: Goal) -> Plan:
+        """Where to pick and where to place. Raises `BaggieError` when the goal is not in the picture."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return next(self.network.parameters()).device
+
+    def as_trained(self, observation: Observation, goal: Goal) -> tuple[Image, Goal]:
+        """Picture and goal at the size of the training pictures.
+
+        Raises `BaggieError` when the goal leaves the picture, or the picture has another shape than those.
+        """
+        check_goal(goal, observation.size)
+        (width, height), (to_width, to_height) = observation.size, self.picture_size
+        if abs(width * to_height - height * to_width) > max(to_width, to_height):
+            raise BaggieError(
+                f"this policy was trained on pictures of {to_width} x {to_height} pixels, but got one of "
+                f"{width} x "
+                f"{height}: it belongs to another camera; train one for this one"
+            )
+        color = Observation(observation.color).resized(to_width, to_height).color
+        return color, goal.scaled(to_width / width, to_height / height)
+
+    def config(self) -> dict[str, Any]:
+        """All that is needed to build it again, and how it was trained."""
+        return {
+            "policy": self.name,
+            "cell": self.cell,
+            "picture_size": list(self.picture_size),
+            "model": self.model_config(),
+            "training": dict(self.training),
+        }
+
+    def save_pretrained(self, folder: Path | str) -> None:
+        """Write `config.yaml` and `policy.safetensors`, complete or not at all. Raises `DataError`."""
+        checkpoint.write(Path(folder), self.config(), self.network.state_dict())
+
+    @classmethod
+    def from_pretrained(cls, source: Path | str, device: str = "cpu") -> Self:
+        """Load from a folder or a Hub id.
+
+        Raises `DataError` when a file is missing, damaged, or of another policy.
+        """
+        folder = checkpoint.fetch(source)
+        config = checkpoint.read_config(folder)
+        if config["policy"] != cls.name:
+            raise DataError(f"{folder} holds a {config['policy']} policy, but {cls.name} was asked for")
+        weights = checkpoint.read_weights(folder, cls.name)
+        try:
+            width, height = config["picture_size"]
+            policy = cls.build(config["model"], (int(width), int(height)), int(config["cell"]))
+            policy.network.load_state_dict(weights)
+        except (KeyError, TypeError, ValueError, RuntimeError):
+            raise DataError(
+                f"{folder / checkpoint.CONFIG} and {checkpoint.WEIGHTS} do not belong together: "
+                "take both from one training run"
+            ) from None
+        policy.training = config.get("training", {})
+        policy.network.to(device).eval()
+        return policy
+
+    def push_to_hub(self, repo_id: str, private: bool = True) -> str:
+        """Upload config, weights and a model card to the Hub's `owner/name`; the address. Needs a login
+        there.
+        """
+        with TemporaryDirectory() as folder:
+            self.save_pretrained(folder)
+            Path(folder, "README.md").write_text(self._card(repo_id))
+            huggingface_hub.create_repo(repo_id, private=private, exist_ok=True)
+            return str(huggingface_hub.upload_folder(repo_id=repo_id, folder_path=folder))
+
+    def _card(self, repo_id: str) -> str:
+        width, height = self.picture_size
+        return _CARD.format(name=self.name, cell=self.cell, width=width, height=height, repo=repo_id)

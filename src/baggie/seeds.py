@@ -1,0 +1,30 @@
+"""The random streams, kept apart: a scene of one can never be a scene of another, whatever the seed.
+
+A stream's name goes first in the list of integers that seeds a generator, so `(EVALUATION, 7, 0)` and
+`(COLLECTION, 7, 0)` share nothing. The values are arbitrary but fixed: changing one changes every recording.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+COLLECTION: Final = 0xC011EC7
+"""Scenes in which demonstrations are collected: `(COLLECTION, seed, sitting)`."""
+PLACES: Final = 0x97ACE5
+"""Where the collector carries the object: `(PLACES, seed, sitting)`."""
+CALIBRATION: Final = 0xCA11B8
+"""Scenes in which a cell is calibrated: `(CALIBRATION, seed)`."""
+EVALUATION: Final = 0xE7A10A7E
+"""Scenes in which policies are judged: `(EVALUATION, seed, episode)`."""
+
+
+def generator(*stream: int) -> np.random.Generator:
+    """The generator of one stream: its name and then non-negative integers.
+
+    >>> a, b = generator(COLLECTION, 0, 1), generator(COLLECTION, 0, 1)
+    >>> a.random() == b.random()
+    True
+    """
+    return np.random.default_rng(stream)

@@ -1,0 +1,99 @@
+"""A cell: one concrete workcell, with its camera, lens, lights and table. `--cell C` draws one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baggie.geometry import FloatArray
+from baggie.sim.lens import Lens
+
+PICTURE_SIZE = (1280, 720)
+HORIZONTAL_FOV = np.deg2rad(
+    90.0
+)  # Azure Kinect colour camera, 16:9 modes: 90 x 59 degrees (Microsoft's data sheet)
+
+
+@dataclass(frozen=True)
+class Light:
+    """A lamp: where it hangs, where it points, how bright it is."""
+
+    position: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    diffuse: float
+    shadow: bool
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Everything about a workcell that stays as it is from one attempt to the next."""
+
+    number: int
+    camera_position: FloatArray
+    """`(3,)` metres, robot base frame."""
+    camera_rotation: FloatArray
+    """`(3, 3)`, `R_base_camera` with OpenCV's axes: x right, y down, z into the picture."""
+    lens: Lens
+    lights: tuple[Light, ...]
+    ambient: float
+    table_color: tuple[int, int, int]
+    table_grain: float
+    """Contrast of the table's texture."""
+    floor_color: tuple[int, int, int]
+
+    @property
+    def T_camera_base(self) -> FloatArray:
+        """`(4, 4)`, maps base-frame points into the camera's frame."""
+        transform = np.eye(4)
+        transform[:3, :3] = self.camera_rotation.T
+        transform[:3, 3] = -self.camera_rotation.T @ self.camera_position
+        return transform
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Where points of the robot base frame appear: `(N, 3)` metres -> `(N, 2)` pixels (u, v)."""
+        homogeneous = np.c_[points, np.ones(len(points))]
+        in_camera = (homogeneous @ self.T_camera_base.T)[:, :3]
+        return self.lens.project(in_camera)
+
+
+def draw_cell(number: int) -> Cell:
+    """The cell with this number: always the same one."""
+    rng = np.random.default_rng([0xCE11, number])
+    position = np.array([rng.uniform(0.54, 0.66), rng.uniform(-0.12, 0.12), rng.uniform(0.76, 0.86)])
+    aim = np.array([0.52 + rng.uniform(-0.03, 0.03), rng.uniform(-0.04, 0.04), 0.0])
+    lights = tuple(
+        Light(
+            position=(rng.uniform(-0.2, 1.2), side * rng.uniform(0.5, 1.2), rng.uniform(1.6, 2.2)),
+            direction=(rng.uniform(-0.2, 0.2), -side * rng.uniform(0.2, 0.5), -1.0),
+            diffuse=rng.uniform(0.3, 0.45),
+            shadow=side > 0,
+        )
+        for side in (-1.0, 1.0)
+    )
+    table = rng.uniform(110, 190) * np.array(
+        [1.0, rng.uniform(0.85, 1.0), rng.uniform(0.65, 0.98)]
+    )  # wood or grey
+    return Cell(
+        number=number,
+        camera_position=position,
+        camera_rotation=_look_at(position, aim, roll=rng.normal(0.0, np.deg2rad(3.0))),
+        lens=Lens.random(rng, PICTURE_SIZE, HORIZONTAL_FOV),
+        lights=lights,
+        ambient=rng.uniform(0.25, 0.35),
+        table_color=(int(table[0]), int(table[1]), int(table[2])),
+        table_grain=rng.uniform(0.03, 0.12),
+        floor_color=(int(rng.integers(60, 110)),) * 3,
+    )
+
+
+def _look_at(position: FloatArray, aim: FloatArray, roll: float) -> FloatArray:
+    """`R_base_camera` of a camera that looks from `position` to `aim`, the robot at the top of its picture."""
+    forward = aim - position
+    forward /= np.linalg.norm(forward)
+    up = np.array([-1.0, 0.0, 0.0])  # towards the robot
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(roll), np.sin(roll)
+    return np.column_stack([c * right + s * down, -s * right + c * down, forward])

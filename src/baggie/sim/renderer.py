@@ -1,0 +1,104 @@
+"""Pictures of the world: what the workcell's camera records, and a film of the arm at work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.sim.cell import PICTURE_SIZE
+from baggie.sim.gl import require_backend
+from baggie.sim.sensor import Exposure, Sensor
+from baggie.sim.world import World
+from baggie.types import Image, Observation
+
+DETAILED_GROUP, HULL_GROUP = 2, 3  # the geom groups of `fr3.xml`
+HIDDEN_GROUP = 5  # which no renderer draws
+
+
+class CameraRenderer:
+    """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
+
+    def __init__(self, world: World) -> None:
+        require_backend()
+        self._world = world
+        self._lens = world.cell.lens
+        width, height = PICTURE_SIZE
+        self._renderer = mujoco.Renderer(world.model, height, width)
+        self._sensor = Sensor(PICTURE_SIZE)
+        self._detailed = np.flatnonzero(world.model.geom_group == DETAILED_GROUP)
+        self._hulls = np.flatnonzero(world.model.geom_group == HULL_GROUP)
+
+    def look(self, exposure: Exposure, rng: np.random.Generator, depth: bool = True) -> Observation:
+        """A picture of the world as it is now."""
+        with self._arm_simplified():
+            self._renderer.update_scene(self._world.data, "top")
+        color = self._lens.distort(self._renderer.render())
+        measured = self._depth(rng) if depth else None
+        recorded = self._sensor.expose(color, exposure, rng)
+        return Observation(recorded, measured, time=self._world.time)
+
+    def _geoms_in_view(self) -> NDArray[np.bool_]:
+        """Which of the arm's detailed geoms reach into the picture, by their bounding spheres."""
+        centers = self._world.data.geom_xpos[self._detailed]
+        distance = (centers - self._world.cell.camera_position) @ self._world.cell.camera_rotation[:, 2]
+        radius = self._world.model.geom_rbound[self._detailed]
+        reach = self._lens.intrinsics.matrix[0, 0] * radius / np.maximum(distance, 0.05) + 40.0
+        pixels = self._world.cell.project(centers)
+        inside = (pixels > -reach[:, None]) & (pixels < np.array(PICTURE_SIZE) + reach[:, None])
+        return np.asarray(inside.all(axis=1) & (distance > 0))
+
+    @contextmanager
+    def _arm_simplified(self) -> Iterator[None]:
+        """Within: what is out of the picture is drawn as the hull that casts its shadow, not as 240,000 triangles."""
+        groups = self._world.model.geom_group
+        usual = groups.copy()
+        seen = self._geoms_in_view()
+        groups[self._detailed[~seen]] = HIDDEN_GROUP
+        bodies = self._world.model.geom_bodyid
+        unseen_hulls = self._hulls[~np.isin(bodies[self._hulls], bodies[self._detailed[seen]])]
+        groups[unseen_hulls] = DETAILED_GROUP
+        try:
+            yield
+        finally:
+            groups[:] = usual
+
+    def _depth(self, rng: np.random.Generator) -> np.ndarray:
+        self._renderer.enable_depth_rendering()
+        ideal = self._renderer.render()
+        self._renderer.disable_depth_rendering()
+        return self._sensor.measure_depth(self._lens.distort(ideal), rng)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+
+class Film:
+    """Collects frames of the arm at work, from beside the table, at a steady rate of simulated time."""
+
+    def __init__(self, world: World, size: tuple[int, int], fps: float) -> None:
+        self.frames: list[Image] = []
+        self._world = world
+        world.model.vis.quality.offsamples = 4  # a film wants smooth edges; read when the context is made
+        self._renderer = mujoco.Renderer(world.model, size[1], size[0])
+        world.model.vis.quality.offsamples = 0
+        self._period = 1.0 / fps
+        self._next = world.time
+
+    def watch(self) -> None:
+        """Take a frame when one is due."""
+        now = self._world.time
+        if now < self._next - 1.5 * self._period:  # the world was reset
+            self._next = now
+        if now >= self._next:
+            self._renderer.update_scene(self._world.data, camera="film")
+            self.frames.append(self._renderer.render().copy())
+            self._next += self._period
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()

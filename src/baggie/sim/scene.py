@@ -1,0 +1,147 @@
+"""Builds the MuJoCo model: the Franka arm in place, a table, the bag, the goal card, lamps and camera."""
+
+from __future__ import annotations
+
+import warnings
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from baggie.geometry import FloatArray
+from baggie.sim.bag import BagParameters, bag_xml
+from baggie.sim.cell import Cell
+from baggie.sim.textures import cloth, table_top
+
+TIMESTEP_S = 0.004
+TOOL_OFFSET_M = (
+    0.1034  # from the hand's frame to the point between the fingertips (Franka's hand, data sheet)
+)
+TABLE_HEIGHT_M = 0.75
+HOME = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.7853])  # a raised, bent elbow; the tool points down
+FINGER_GAIN = 10_000.0  # N/m; the stock 100 N/m presses with 2 to 4 N and loses the bag
+FINGER_DAMPING = 300.0
+PADDLE_OFFSET_M = 0.09
+PADDLE_RADIUS_M = 0.025
+CARD_SIZE_M = 0.13
+ARM = "arm_"  # prefix of everything that belongs to the arm
+
+_WORLD = """
+<mujoco model="baggie">
+  <option timestep="{timestep}" integrator="discrete" solver="Newton" cone="pyramidal" impratio="10"/>
+  <visual>
+    <global offwidth="1280" offheight="720"/>
+    <quality shadowsize="1024" offsamples="0"/>
+    <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.15 0.15 0.15" specular="0 0 0"/>
+    <map znear="0.02" zfar="20"/>
+  </visual>
+  <asset>
+    <texture name="table" type="2d" builtin="flat" width="512" height="512" rgb1="1 1 1"/>
+    <texture name="cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
+    <material name="table" texture="table" specular="0.1" shininess="0.2"/>
+    <material name="cloth" texture="cloth" specular="0.05"/>
+  </asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -{table_height}" rgba="{floor} 1"
+        contype="0" conaffinity="0"/>
+    <geom name="table" type="plane" size="0 0 1" rgba="0 0 0 0" friction="0.8"/>
+    <geom name="table_top" type="box" size="0.55 0.7 0.02" pos="0.4 0 -0.0201" material="table"
+        contype="0" conaffinity="0"/>
+    <body name="card" mocap="true" pos="0 0 -1">
+      <geom name="card" type="box" size="{card} {card} 0.0004" rgba="0.10 0.55 0.20 1" contype="0" conaffinity="0"/>
+    </body>
+    <camera name="film" pos="1.35 -0.75 0.75" mode="targetbody" target="look_here" fovy="42"/>
+    <body name="look_here" pos="0.42 0 0.12"/>
+    {bag}
+  </worldbody>
+</mujoco>
+"""
+
+
+def build_model(cell: Cell, bag: BagParameters) -> mujoco.MjModel:
+    """The whole workcell as one model, about 160 degrees of freedom."""
+    xml = _WORLD.format(
+        timestep=TIMESTEP_S,
+        ambient=cell.ambient,
+        table_height=TABLE_HEIGHT_M,
+        floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
+        card=CARD_SIZE_M / 2,
+        bag=bag_xml(bag),
+    )
+    scene = mujoco.MjSpec.from_string(xml)
+    for number, light in enumerate(cell.lights):
+        scene.worldbody.add_light(
+            name=f"lamp{number}",
+            pos=light.position,
+            dir=light.direction,
+            diffuse=[light.diffuse] * 3,
+            castshadow=light.shadow,
+        )
+    _add_camera(scene, cell)
+    with (
+        warnings.catch_warnings()
+    ):  # the arm's own integrator gives way to the scene's, which is what we want
+        warnings.simplefilter("ignore")
+        scene.attach(arm_spec(), prefix=ARM, frame=scene.worldbody.add_frame())
+        model = scene.compile()
+    rng = np.random.default_rng([0x7AB1E, cell.number])
+    _paint(model, "table", table_top(rng, cell.table_color, cell.table_grain))
+    _paint(model, "cloth", cloth(rng, bag.color, bag.weave))
+    return model
+
+
+def arm_spec() -> mujoco.MjSpec:
+    """The FR3 with its hand as `franky-sim` ships it, with what a real one has besides.
+
+    Added: gravity compensation, a grip as firm as a Franka hand's, a tool site, a wrist force sensor, and the
+    calibration paddle (a coloured disk the hand can hold out in front of the fingertips; hidden until asked for).
+    """
+    assets = Path(str(files("franky_sim"))) / "assets"
+    spec = mujoco.MjSpec.from_file(str(assets / "fr3.xml"))
+    spec.meshdir = str(assets / "meshes")
+    spec.delete(spec.keys[0])
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    for body in spec.bodies[1:]:
+        body.gravcomp = 1.0
+    grip = spec.actuator("hand")
+    # Position control of the mean finger opening (metres) with a force limit that `World.set_grip_force` moves.
+    grip.gainprm[0] = FINGER_GAIN
+    grip.biasprm[:3] = [0.0, -FINGER_GAIN, -FINGER_DAMPING]
+    grip.ctrlrange = [0.0, 0.04]
+    grip.inheritrange = 0.0
+    hand = spec.body("hand")
+    hand.add_site(name="wrist", pos=[0, 0, 0])
+    hand.add_site(name="tool", pos=[0, 0, TOOL_OFFSET_M])
+    hand.add_geom(
+        name="paddle",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=[PADDLE_OFFSET_M, 0, TOOL_OFFSET_M],
+        size=[PADDLE_RADIUS_M, 0.001, 0],
+        rgba=[0.85, 0.05, 0.75, 0.0],
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
+    spec.add_sensor(
+        name="wrist",
+        type=mujoco.mjtSensor.mjSENS_FORCE,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname="wrist",
+    )
+    return spec
+
+
+def _add_camera(scene: mujoco.MjSpec, cell: Cell) -> None:
+    # MuJoCo's camera looks along -z with y up; OpenCV's along +z with y down.
+    rotation: FloatArray = cell.camera_rotation @ np.diag([1.0, -1.0, -1.0])
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    scene.worldbody.add_camera(
+        name="top", pos=cell.camera_position, quat=quaternion, fovy=np.rad2deg(cell.lens.render_fovy)
+    )
+
+
+def _paint(model: mujoco.MjModel, texture: str, picture: np.ndarray) -> None:
+    start = model.tex_adr[model.texture(texture).id]
+    model.tex_data[start : start + picture.size] = picture.ravel()

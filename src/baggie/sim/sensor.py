@@ -1,0 +1,71 @@
+"""What a camera's sensor does to light: exposure, white balance, vignetting, noise, 8 bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from baggie.types import Image
+
+READ_NOISE = 1.6  # standard deviation of a dark pixel, in 8-bit steps
+SHOT_NOISE = 1.8  # what is added at full brightness
+DEPTH_NOISE_M = 0.0015
+_SLACK = 128  # pixels by which the noise tile is larger than a picture
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Exposure and colour cast of one picture."""
+
+    gain: float = 1.0
+    cast: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Gain of R, G and B."""
+
+    @classmethod
+    def random(cls, rng: np.random.Generator) -> Exposure:
+        """The drift of daylight and of automatic exposure from one attempt to the next."""
+        cast = 1.0 + rng.normal(0.0, 0.025, 3)
+        return cls(float(rng.uniform(0.88, 1.12)), (float(cast[0]), float(cast[1]), float(cast[2])))
+
+
+class Sensor:
+    """Turns an ideal picture into a recorded one. One per camera: the vignette belongs to it."""
+
+    def __init__(self, size: tuple[int, int], vignette: float = 0.18) -> None:
+        width, height = size
+        v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+        fall_off = 1.0 - vignette * (u**2 + v**2) / 2
+        self._vignette = np.repeat((fall_off * 255).astype(np.uint8)[..., None], 3, axis=2)
+        # Fresh noise for a million pixels costs more than the picture. One tile with room to spare is drawn once, and
+        # every picture takes its window from another corner of it.
+        tile = np.random.default_rng(0x5E7502).standard_normal(
+            (height + _SLACK, width + _SLACK, 3), np.float32
+        )
+        self._noise = (64 * tile).round().astype(np.int16)
+
+    def expose(self, picture: Image, exposure: Exposure, rng: np.random.Generator) -> Image:
+        """The picture as this sensor would record it: `(H, W, 3)` uint8 -> the same."""
+        levels = np.arange(256)[:, None] * (exposure.gain * np.array(exposure.cast))
+        lit = cv2.LUT(picture, np.clip(levels, 0, 255).astype(np.uint8)[:, None, :])
+        lit = cv2.multiply(lit, self._vignette, scale=1 / 255)
+        height, width = picture.shape[:2]
+        top, left = rng.integers(_SLACK, size=2)
+        noise = np.ascontiguousarray(self._noise[top : top + height, left : left + width])
+        strength = cv2.LUT(lit, _NOISE_STRENGTH)
+        noisy = cv2.multiply(noise, strength.astype(np.int16), scale=1 / (64 * 64))
+        return np.asarray(cv2.add(noisy, lit, dtype=cv2.CV_8U))
+
+    def measure_depth(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Depth with a time-of-flight camera's noise, in whole millimetres: `(H, W)` float32 metres."""
+        height, width = depth.shape
+        top, left = rng.integers(_SLACK, size=2)
+        noise = self._noise[top : top + height, left : left + width, 0] * np.float32(DEPTH_NOISE_M / 64)
+        return np.asarray(np.round((depth + noise) * 1000) / 1000, np.float32)
+
+
+# Standard deviation of the noise at each brightness, in 1/64 of an 8-bit step.
+_NOISE_STRENGTH = (
+    (64 * np.sqrt(READ_NOISE**2 + SHOT_NOISE**2 * np.arange(256) / 255)).round().astype(np.uint8)
+)

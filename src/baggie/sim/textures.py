@@ -1,0 +1,33 @@
+"""Procedural textures: a table top with grain, a woven cloth."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from baggie.types import Image
+
+
+def table_top(rng: np.random.Generator, color: tuple[int, int, int], grain: float, size: int = 512) -> Image:
+    """A wooden or laminated surface, `(size, size, 3)`: streaks along one side, blotches, a few marks."""
+    streaks = cv2.GaussianBlur(rng.normal(size=(size, size)), (0, 0), sigmaX=40, sigmaY=1.2)
+    blotches = cv2.resize(rng.normal(size=(12, 12)), (size, size), interpolation=cv2.INTER_CUBIC)
+    pattern = streaks / streaks.std() + 0.5 * blotches
+    picture = np.array(color) * (1 + grain * pattern[..., None] / 2)
+    for _ in range(6):  # pencil marks and scratches
+        start, end = rng.integers(0, size, (2, 2))
+        end = start + (end - start) // 6
+        shade = [int(value) for value in np.array(color) * rng.uniform(0.6, 0.9)]
+        cv2.line(picture, start.tolist(), end.tolist(), shade, 1, cv2.LINE_AA)
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def cloth(rng: np.random.Generator, color: tuple[int, int, int], weave: float, size: int = 128) -> Image:
+    """A woven cloth with a seam along its edge, `(size, size, 3)`."""
+    v, u = np.mgrid[:size, :size]
+    threads = np.sin(u * 2 * np.pi / 8) * np.sin(v * 2 * np.pi / 8)
+    mottle = cv2.resize(rng.normal(size=(8, 8)), (size, size), interpolation=cv2.INTER_CUBIC)
+    edge = np.minimum(np.minimum(u, v), np.minimum(size - 1 - u, size - 1 - v))
+    seam = -1.5 * np.exp(-(((edge - 8) / 2.0) ** 2))
+    picture = np.array(color) * (1 + weave * (0.5 * threads + 0.3 * mottle + seam)[..., None])
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)

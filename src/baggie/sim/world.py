@@ -1,0 +1,149 @@
+"""The running simulation: physics, the state of arm, gripper and bag, and who wants to watch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.sim.bag import BagParameters, pillow
+from baggie.sim.cell import Cell
+from baggie.sim.scene import ARM, HOME, TIMESTEP_S, build_model
+
+_ARM = slice(0, 7)
+_FINGERS = slice(7, 9)
+SETTLE_S = 1.2
+
+
+class World:
+    """One MuJoCo world. Time passes only inside `advance`, as fast as the processor allows."""
+
+    def __init__(self, cell: Cell, bag: BagParameters | None = None) -> None:
+        self.cell = cell
+        self.bag = bag or BagParameters()
+        self.model = build_model(cell, self.bag)
+        self.data = mujoco.MjData(self.model)
+        self.watchers: list[Callable[[], None]] = []
+        """Called after every control period; a film camera is one."""
+        nodes = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("bag")]
+        self._node_joints = np.array([self.model.body_jntadr[b] + np.arange(3) for b in nodes])
+        self._node_home = self.model.body_pos[nodes].copy()
+        self._arm_dofs = [int(self.model.joint(f"{ARM}fr3_joint{k}").dofadr[0]) for k in range(1, 8)]
+        self._arm_q = [int(self.model.joint(f"{ARM}fr3_joint{k}").qposadr[0]) for k in range(1, 8)]
+        self._finger_q = [int(self.model.joint(f"{ARM}finger_joint{k}").qposadr[0]) for k in (1, 2)]
+        self._arm_ctrl = [self.model.actuator(f"{ARM}fr3_joint{k}").id for k in range(1, 8)]
+        self._grip = self.model.actuator(f"{ARM}hand").id
+        self._lag = (
+            np.array(  # a position servo with damping lags by kv/kp seconds; fed forward in `set_joints`
+                [
+                    -self.model.actuator_biasprm[k, 2] / self.model.actuator_gainprm[k, 0]
+                    for k in self._arm_ctrl
+                ]
+            )
+        )
+        self._wrist = self.model.sensor(f"{ARM}wrist").adr[0]
+        self._wrist_site = self.model.site(f"{ARM}wrist").id
+        self._tool_site = self.model.site(f"{ARM}tool").id
+        self._points, _ = pillow(self.bag)
+        self.reset(PlanarPose(0.5, 0.0))
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds of simulated time since the last reset."""
+        return float(self.data.time)
+
+    def advance(self, seconds: float) -> None:
+        """Let physics run."""
+        for _ in range(max(round(seconds / TIMESTEP_S), 1)):
+            mujoco.mj_step(self.model, self.data)
+        for watch in self.watchers:
+            watch()
+
+    def reset(self, bag_pose: PlanarPose) -> None:
+        """Arm home, gripper open, the bag dropped flat at this pose without dents, everything at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._arm_q] = HOME
+        self.data.qpos[self._finger_q] = 0.04
+        self.set_joints(HOME, np.zeros(7))
+        self.set_finger_opening(0.04)
+        self.set_grip_force(20.0)
+        self.put_bag(bag_pose)
+        self.advance(SETTLE_S)
+
+    # -- arm ----------------------------------------------------------------------------------------------------
+
+    @property
+    def joints(self) -> FloatArray:
+        """`(7,)` radians, as measured."""
+        return np.asarray(self.data.qpos[self._arm_q].copy())
+
+    @property
+    def joint_velocities(self) -> FloatArray:
+        """`(7,)` radians per second."""
+        return np.asarray(self.data.qvel[self._arm_dofs].copy())
+
+    def set_joints(self, q: FloatArray, velocity: FloatArray) -> None:
+        """Command joint positions `(7,)` radians that move with `velocity` `(7,)` rad/s."""
+        self.data.ctrl[self._arm_ctrl] = q + self._lag * velocity
+
+    @property
+    def finger_width(self) -> float:
+        """Metres between the fingers."""
+        return float(self.data.qpos[self._finger_q].sum())
+
+    def set_finger_opening(self, opening: float) -> None:
+        """Command how far each finger is from the middle, metres."""
+        self.data.ctrl[self._grip] = opening
+
+    def set_grip_force(self, newtons: float) -> None:
+        """The most each finger presses with."""
+        # The tendon pulls each finger with half its force.
+        self.model.actuator_forcerange[self._grip] = [-2 * newtons, 2 * newtons]
+
+    @property
+    def upward_force(self) -> float:
+        """Newtons that push the hand up, as a wrist sensor feels them, the hand's own weight included."""
+        force = self.data.sensordata[self._wrist : self._wrist + 3]
+        return float(-(self.data.site_xmat[self._wrist_site].reshape(3, 3) @ force)[2])
+
+    # -- bag and card -------------------------------------------------------------------------------------------
+
+    def put_bag(self, pose: PlanarPose, height: float = 0.02) -> None:
+        """Lay the bag, undented and at rest, with its centre `height` metres above the table."""
+        c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+        turned = self._node_home @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        shift = turned + np.array([pose.x, pose.y, height]) - self._node_home
+        self.data.qpos[self.model.jnt_qposadr[self._node_joints]] = shift
+        self.data.qvel[self.model.jnt_dofadr[self._node_joints]] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def bag_points(self) -> FloatArray:
+        """`(P, 3)` metres: the bag's surface points now."""
+        return np.asarray(self.data.flexvert_xpos.copy())
+
+    def bag_pose(self) -> PlanarPose:
+        """The bag's true centre and yaw: the planar rigid motion that best explains where its points are (Kabsch)."""
+        now = self.bag_points[:, :2]
+        center = now.mean(axis=0)
+        rest = self._points[:, :2]
+        covariance = rest.T @ (now - center)
+        yaw = np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
+        return PlanarPose(float(center[0]), float(center[1]), float(yaw))
+
+    def put_card(self, pose: PlanarPose | None) -> None:
+        """Lay the printed goal card on the table, or take it away."""
+        at = (0.0, 0.0, -1.0) if pose is None else (pose.x, pose.y, 0.0006)
+        yaw = 0.0 if pose is None else pose.yaw
+        card = int(self.model.body("card").mocapid[0])
+        self.data.mocap_pos[card] = at
+        self.data.mocap_quat[card] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+        mujoco.mj_forward(self.model, self.data)
+
+    def show_paddle(self, shown: bool) -> None:
+        """Put the calibration paddle into the hand, or take it away."""
+        self.model.geom(f"{ARM}paddle").rgba[3] = 1.0 if shown else 0.0

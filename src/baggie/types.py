@@ -1,0 +1,181 @@
+"""The words of the one loop: look (Observation), plan (Goal -> Plan), move (PickPlace), check (Outcome)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.geometry import FloatArray, PlanarPose
+
+Image = NDArray[np.uint8]
+"""`(H, W, 3)` uint8, RGB."""
+
+GoalStyle = Literal["outline", "solid"]
+Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled"]
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with OpenCV's distortion model, for pictures of `width` x `height` pixels."""
+
+    width: int
+    height: int
+    matrix: FloatArray
+    """`(3, 3)` camera matrix, pixels."""
+    distortion: FloatArray
+    """`(D,)` coefficients in OpenCV's order; empty for none."""
+
+    def scaled(self, width: int, height: int) -> Intrinsics:
+        """The same camera with its pictures resized (pixel centres at half-integers + 0.5 convention)."""
+        sx, sy = width / self.width, height / self.height
+        matrix = self.matrix.copy()
+        matrix[0] *= sx
+        matrix[1] *= sy
+        matrix[0, 2] += (sx - 1) / 2
+        matrix[1, 2] += (sy - 1) / 2
+        return Intrinsics(width, height, matrix, self.distortion)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a camera saw once."""
+
+    color: Image
+    """`(H, W, 3)` uint8, RGB."""
+    depth: NDArray[np.float32] | None = None
+    """`(H, W)` float32, metres along the optical axis; 0 where unknown."""
+    intrinsics: Intrinsics | None = None
+    time: float = 0.0
+    """Seconds; of the workcell's own clock."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(width, height)` in pixels."""
+        return self.color.shape[1], self.color.shape[0]
+
+    def resized(self, width: int, height: int) -> Observation:
+        """The same picture at another size (area average); depth takes the nearest value, never a mixture."""
+        if self.size == (width, height):
+            return self
+        color = np.asarray(cv2.resize(self.color, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        depth = self.depth
+        if depth is not None:
+            nearest = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+            depth = np.asarray(nearest, np.float32)
+        intrinsics = self.intrinsics.scaled(width, height) if self.intrinsics else None
+        return replace(self, color=color, depth=depth, intrinsics=intrinsics)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the object must end, in the picture: a region, and how it is drawn.
+
+    The region is a polygon of pixel corners `(N, 2)` as (u, v) in the observation's picture.
+    """
+
+    corners: FloatArray
+    style: GoalStyle = "solid"
+    color: tuple[int, int, int] = (0, 200, 0)
+    """RGB."""
+
+    @property
+    def center(self) -> FloatArray:
+        """`(2,)`, the mean of the corners, pixels (u, v)."""
+        return np.asarray(self.corners.mean(axis=0))
+
+    def scaled(self, factor_u: float, factor_v: float) -> Goal:
+        """The same goal in a picture resized by these factors (pixel centres are at integer (u, v))."""
+        factors = np.array([factor_u, factor_v])
+        return replace(self, corners=(self.corners + 0.5) * factors - 0.5)
+
+
+@dataclass(frozen=True)
+class PickPlace:
+    """The action: where to grasp and where to let go, in the robot's base frame. Height is found by touch."""
+
+    pick: PlanarPose
+    place: PlanarPose
+
+    def to_array(self) -> FloatArray:
+        """`(6,)`: pick x, y, yaw, place x, y, yaw; metres and radians."""
+        a, b = self.pick, self.place
+        return np.array([a.x, a.y, a.yaw, b.x, b.y, b.yaw])
+
+    @classmethod
+    def from_array(cls, values: FloatArray) -> PickPlace:
+        """The inverse of `to_array`."""
+        px, py, pt, qx, qy, qt = (float(value) for value in values)
+        return cls(PlanarPose(px, py, pt), PlanarPose(qx, qy, qt))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a policy wants done, how sure it is, and what a person wants to see."""
+
+    action: PickPlace
+    confidence: float = 1.0
+    """In [0, 1]; 1 where the policy has no doubt or cannot tell."""
+    views: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Heat maps by name, `(h, w)` float32 in [0, 1], of the whole picture at any resolution."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened when an action was executed."""
+
+    executed: PickPlace
+    """Poses the arm really was at when it closed and opened the gripper."""
+    failure: Failure | None = None
+    grasp_width_m: float = 0.0
+    """Between the fingers, after the lift."""
+    release_width_m: float = 0.0
+    """Between the fingers just before letting go; much less than `grasp_width_m` means it was dropped."""
+    pick_z_m: float = 0.0
+    """Height of the fingertips when the gripper closed, above the table."""
+    place_z_m: float = 0.0
+    """Height of the fingertips at release."""
+    tries: int = 1
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of the workcell's clock by phase: `pick`, `place`, ..."""
+
+    @property
+    def success(self) -> bool:
+        """Whether the object was grasped, carried and put down."""
+        return self.failure is None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What only a simulator knows. Evaluation may read it; no policy ever does."""
+
+    before: PlanarPose
+    """The object's centre and yaw before the attempt."""
+    after: PlanarPose
+    """The same at its end."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One turn of the loop, recorded: the unit of data."""
+
+    attempt_id: int
+    task: str
+    """The instruction in words, as LeRobot stores it."""
+    before: Observation
+    after: Observation | None
+    commanded: PickPlace
+    outcome: Outcome
+    box_before: FloatArray
+    """`(4, 2)` corners of the bag in the picture before, pixels (u, v); NaN where it was not found."""
+    box_after: FloatArray
+    """`(4, 2)`, the same in the picture after."""
+    cell: int = 0
+    seed: int = 0
+    time: float = 0.0
+    """Seconds of the workcell's clock when the attempt began."""
+    truth: Truth | None = None

@@ -1,0 +1,64 @@
+"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements seven methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from baggie.geometry import ToolPose
+
+
+@dataclass(frozen=True)
+class ArmInfo:
+    """What an arm is and can do, readable before it is connected."""
+
+    name: str
+    max_width_m: float
+    """The widest the gripper opens."""
+    max_speed_m_s: float
+    """The fastest the tool may ever move."""
+    max_force_n: float
+    """The hardest the gripper may squeeze."""
+
+
+@runtime_checkable
+class Arm(Protocol):
+    """An arm with a two-finger gripper whose tool points straight down.
+
+    Every motion blocks until it is done and returns the pose *really* reached. Poses are in the robot's base frame
+    (metres, radians). Implementations raise `ReachError` when a pose cannot be reached and move nothing.
+    """
+
+    info: ArmInfo
+
+    def pose(self) -> ToolPose:
+        """Where the tool is now."""
+        ...
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        """Move the tool along a straight line, smoothly, never faster than `speed_m_s`; the pose reached."""
+        ...
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        """Move straight down until the upward force exceeds `force_n` or the tool is at `z_min`; the pose reached."""
+        ...
+
+    def move_gripper(self, width_m: float) -> float:
+        """Open or close to a width between the fingers, without squeezing; the width reached."""
+        ...
+
+    def grasp(self, force_n: float) -> float:
+        """Close until the fingers meet something or each other, then keep squeezing; the width, 0 if empty."""
+        ...
+
+    def gripper_width(self) -> float:
+        """Metres between the fingers now."""
+        ...
+
+    def park(self) -> ToolPose:
+        """Move out of the camera's view; the pose reached."""
+        ...
+
+    def stop(self) -> None:
+        """Stop moving, now."""
+        ...

@@ -1,0 +1,87 @@
+"""The workcell file: what a person writes down about a workcell, in YAML."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from baggie.errors import BaggieError
+from baggie.geometry import Rectangle
+from baggie.sim.bag import BagParameters
+from baggie.workcell.simulated import SimulatedWorkcell
+from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Bounds(_Section):
+    """The workspace, metres in the robot's base frame."""
+
+    x: tuple[float, float] = (0.35, 0.65)
+    y: tuple[float, float] = (-0.30, 0.30)
+
+
+class Bag(_Section):
+    """The bag in a simulated cell."""
+
+    length_m: float = Field(0.12, gt=0.06, lt=0.2)
+    width_m: float = Field(0.12, gt=0.06, lt=0.2)
+    mass_kg: float = Field(0.2, gt=0.02, lt=1.0)
+    color: tuple[int, int, int] = (196, 40, 44)
+
+
+class WorkcellFile(_Section):
+    """The whole file. `arm: sim` is the one kind of arm so far."""
+
+    arm: Literal["sim"] = "sim"
+    cell: int = Field(0, ge=0)
+    workspace: Bounds = Bounds()
+    bag: Bag = Bag()
+
+
+def open_workcell(source: str | Path) -> Workcell:
+    """The workcell a YAML file describes, or `"sim"` for the simulated one.
+
+    Raises `BaggieError` naming the file and the entry when it cannot be used.
+    """
+    if str(source) == "sim":
+        return SimulatedWorkcell()
+    written = read_workcell_file(Path(source))
+    bag = BagParameters(
+        length_m=written.bag.length_m,
+        width_m=written.bag.width_m,
+        mass_kg=written.bag.mass_kg,
+        color=written.bag.color,
+    )
+    defaults = WorkcellSettings()
+    settings = replace(
+        defaults,
+        name=Path(source).stem,
+        workspace=Rectangle(*written.workspace.x, *written.workspace.y),
+        object_color=bag.color,
+        object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
+        object_symmetry=4 if bag.length_m == bag.width_m else 2,
+    )
+    return SimulatedWorkcell(written.cell, settings, bag)
+
+
+def read_workcell_file(path: Path) -> WorkcellFile:
+    """Read and check a workcell file. Raises `BaggieError` with the entry that is wrong and what it may be."""
+    try:
+        return WorkcellFile.model_validate(yaml.safe_load(path.read_text()) or {})
+    except OSError as error:
+        raise BaggieError(
+            f"no workcell file {path} ({error.strerror}); give a YAML file, or 'sim' for the simulated workcell"
+        ) from None
+    except yaml.YAMLError as error:
+        raise BaggieError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        entry = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise BaggieError(f"{path}: {entry}: {first['msg']}, got {first['input']!r}") from None

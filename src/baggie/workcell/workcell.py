@@ -1,0 +1,104 @@
+"""A workcell: one arm, one camera, one table. The code above never knows whether it is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from baggie.geometry import Rectangle
+from baggie.types import Failure, Observation, Outcome, PickPlace
+from baggie.workcell.arm import Arm
+from baggie.workcell.camera import Camera
+from baggie.workcell.limits import GuardedArm, Limits
+from baggie.workcell.primitives import Handling, pick, place
+
+
+@dataclass(frozen=True)
+class Marker:
+    """The calibration paddle: a coloured disk in front of the fingertips, at their height."""
+
+    color: tuple[int, int, int] = (217, 13, 191)
+    """RGB."""
+    offset_m: float = 0.09
+    """From the tool along its own x axis to the disk's centre."""
+    radius_m: float = 0.025
+
+
+@dataclass(frozen=True)
+class WorkcellSettings:
+    """What a person writes down about a workcell. Robot base frame, SI units, RGB."""
+
+    name: str = "sim"
+    workspace: Rectangle = field(default_factory=lambda: Rectangle(0.35, 0.65, -0.30, 0.30))
+    """Where objects may be picked and placed."""
+    limits: Limits = field(
+        default_factory=lambda: Limits(
+            # The hand may stray a little beyond the workspace after an object at its edge.
+            workspace=Rectangle(0.28, 0.70, -0.38, 0.38),
+            reach=Rectangle(0.15, 0.75, -0.50, 0.50),
+        )
+    )
+    handling: Handling = field(default_factory=Handling)
+    object_color: tuple[int, int, int] = (196, 40, 44)
+    object_size_m: tuple[float, float, float] = (0.12, 0.12, 0.03)
+    """Length, width and resting height."""
+    object_symmetry: int = 4
+    """How many times a turn it looks the same."""
+    marker: Marker = field(default_factory=Marker)
+
+
+class Workcell:
+    """Look, move, check. Planning is a policy's."""
+
+    def __init__(self, arm: Arm, camera: Camera, settings: WorkcellSettings) -> None:
+        self.arm = GuardedArm(arm, settings.limits)
+        self.camera = camera
+        self.settings = settings
+
+    def look(self) -> Observation:
+        """Move the arm out of view and take a picture."""
+        self.arm.park()
+        return self.camera.look()
+
+    def execute(self, action: PickPlace) -> Outcome:
+        """Pick, verify, place.
+
+        Both poses are checked before anything moves: raises `LimitError` outside the workspace and `ReachError`
+        where the arm cannot go. A grasp that failed is no error; the outcome says so and the arm is above the pick.
+        """
+        self.arm.check(action.pick, "pick")
+        self.arm.check(action.place, "place")
+        handling = self.settings.handling
+        start = self.clock()
+        grasp = pick(self.arm, action.pick, handling)
+        picked = self.clock()
+        if not grasp.held:
+            self.arm.move_gripper(handling.open_width_m)
+            return Outcome(
+                executed=PickPlace(grasp.pose.planar, action.place),
+                failure="missed-grasp",
+                grasp_width_m=grasp.width_m,
+                pick_z_m=grasp.pose.z,
+                timings_s={"pick": picked - start},
+            )
+        release = place(self.arm, action.place, handling)
+        failure: Failure | None = None if release.held else "dropped"
+        return Outcome(
+            executed=PickPlace(grasp.pose.planar, release.pose.planar),
+            failure=failure,
+            grasp_width_m=grasp.width_m,
+            release_width_m=release.width_m,
+            pick_z_m=grasp.pose.z,
+            place_z_m=release.pose.z,
+            timings_s={"pick": picked - start, "place": self.clock() - picked},
+        )
+
+    def rescue(self) -> bool:
+        """Get a lost object back into the workspace, if this workcell knows how; whether it did."""
+        return False
+
+    def clock(self) -> float:
+        """Seconds of the workcell's own clock."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of arm and camera."""

@@ -1,0 +1,189 @@
+"""Drawn attempts: a table, a red bag, and a camera map that is known exactly.
+
+Enough for tests and for training a small network: the picture-to-robot map is smooth and fixed, the labels
+carry the noise real grasps have, and the truth is there to measure against.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
+from baggie.types import Attempt, Failure, Image, Intrinsics, Observation, Outcome, PickPlace, Truth
+
+WORKSPACE = Rectangle(0.35, 0.65, -0.25, 0.25)
+TASK = "put the bag on the goal"
+BAG_SIDE_M = 0.12
+BAG_HEIGHT_M = 0.03
+LABEL_NOISE_M = 0.002
+RED = (200, 40, 40)
+
+# The camera stands 1 m above the table, off centre and tilted by about 12 degrees: nothing is axis-aligned.
+_CAMERA_XYZ = np.array([0.33, 0.08, 1.0])
+_LOOKS_AT = np.array([0.51, -0.02, 0.0])
+_ROLL = 0.08
+
+
+def _camera_from_base() -> tuple[FloatArray, FloatArray]:
+    """`T_camera_base` as a rotation vector and a translation; OpenCV's camera frame (z forward, y down)."""
+    forward = (_LOOKS_AT - _CAMERA_XYZ) / np.linalg.norm(_LOOKS_AT - _CAMERA_XYZ)
+    down = np.array([-math.cos(_ROLL), math.sin(_ROLL), 0.0])
+    right = np.cross(down, forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    vector = np.asarray(cv2.Rodrigues(rotation)[0].ravel(), float)
+    return vector, np.asarray(-rotation @ _CAMERA_XYZ)
+
+
+def intrinsics(size: tuple[int, int] = (1280, 720)) -> Intrinsics:
+    """The drawn camera: 93 x 61 degrees with a little distortion."""
+    full = Intrinsics(
+        1280,
+        720,
+        np.array([[608.0, 0.0, 642.3], [0.0, 607.6, 363.8], [0.0, 0.0, 1.0]]),
+        np.array([0.06, -0.04, 0.0006, -0.0003, 0.0]),
+    )
+    return full.scaled(*size)
+
+
+def to_pixels(xyz: FloatArray, size: tuple[int, int] = (1280, 720)) -> FloatArray:
+    """Points of the robot base frame `(N, 3)` metres -> pixels `(N, 2)` (u, v)."""
+    camera = intrinsics(size)
+    rotation, translation = _camera_from_base()
+    points = cv2.projectPoints(
+        np.asarray(xyz, float), rotation, translation, camera.matrix, camera.distortion
+    )[0]
+    return np.asarray(points[:, 0], float)
+
+
+def box_corners(pose: PlanarPose, size: tuple[int, int] = (1280, 720)) -> FloatArray:
+    """The outline of a bag at `pose`, half its height above the table: `(4, 2)` pixels (u, v)."""
+    half = BAG_SIDE_M / 2
+    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    return to_pixels(_on_table(pose, corners, BAG_HEIGHT_M / 2), size)
+
+
+def make_attempt(
+    attempt_id: int,
+    rng: np.random.Generator,
+    size: tuple[int, int] = (1280, 720),
+    *,
+    failure: Failure | None = None,
+    depth: bool = True,
+) -> Attempt:
+    """An attempt in which a bag at a random pose was carried at least 20 cm (nowhere, when it failed).
+
+    The executed poses are the truth plus about 2 mm of noise, as real grasps are.
+    """
+    before = _random_pose(rng)
+    after = _random_pose(rng)
+    while after.distance(before) < 0.2:
+        after = _random_pose(rng)
+    executed = PickPlace(_noisy(before, rng), _noisy(after, rng))
+    commanded = PickPlace(_noisy(executed.pick, rng), _noisy(executed.place, rng))
+    ends_at = before if failure else after
+    exposure = rng.uniform(0.9, 1.1)
+    start_s = 20.0 * attempt_id + 1.75e9  # wall clock: far more digits than float32 has
+    grasp_m = 0.0 if failure == "missed-grasp" else float(rng.uniform(0.012, 0.025))
+    return Attempt(
+        attempt_id=attempt_id,
+        task=TASK,
+        before=_observe(before, rng, size, exposure=exposure, time_s=start_s, depth=depth),
+        after=_observe(ends_at, rng, size, exposure=exposure, time_s=start_s + 11.125, depth=depth),
+        commanded=commanded,
+        outcome=Outcome(
+            executed=executed,
+            failure=failure,
+            grasp_width_m=grasp_m,
+            release_width_m=grasp_m * float(rng.uniform(0.9, 1.0)),
+            pick_z_m=float(rng.uniform(0.010, 0.014)),
+            place_z_m=float(rng.uniform(0.012, 0.018)),
+            tries=int(rng.integers(1, 3)),
+            timings_s={"pick": float(rng.uniform(4, 6)), "place": float(rng.uniform(5, 7))},
+        ),
+        box_before=box_corners(before, size),
+        box_after=box_corners(ends_at, size),
+        cell=0,
+        seed=attempt_id,
+        time=start_s,
+        truth=Truth(before, ends_at),
+    )
+
+
+def _random_pose(rng: np.random.Generator) -> PlanarPose:
+    x, y = WORKSPACE.sample(rng, margin=0.02)
+    return PlanarPose(float(x), float(y), float(rng.uniform(-math.pi / 4, math.pi / 4)))
+
+
+def _noisy(pose: PlanarPose, rng: np.random.Generator) -> PlanarPose:
+    dx, dy = rng.normal(0, LABEL_NOISE_M / math.sqrt(2), 2)
+    yaw = wrap_angle(pose.yaw + float(rng.normal(0, 0.03)))
+    return PlanarPose(pose.x + float(dx), pose.y + float(dy), yaw)
+
+
+def _on_table(pose: PlanarPose, points: FloatArray, z: float) -> FloatArray:
+    """Points of the bag's own frame `(N, 2)` -> robot base frame `(N, 3)` at height `z`."""
+    flat = np.c_[points, np.ones(len(points))] @ pose.matrix().T
+    return np.asarray(np.c_[flat[:, :2], np.full(len(points), z)])
+
+
+def _outline(scale: float) -> FloatArray:
+    """A rounded square (superellipse of degree 5): `(64, 2)` metres in the bag's own frame."""
+    angle = np.linspace(0, 2 * math.pi, 64, endpoint=False)
+    c, s = np.cos(angle), np.sin(angle)
+    radius = (np.abs(c) ** 5 + np.abs(s) ** 5) ** (-1 / 5)
+    return np.asarray(scale * BAG_SIDE_M / 2 * np.c_[radius * c, radius * s])
+
+
+@lru_cache(maxsize=4)
+def _table(size: tuple[int, int]) -> tuple[Image, FloatArray]:
+    """The empty table: a grained grey-brown picture `(H, W, 3)` and its depth `(H, W)` metres."""
+    width, height = size
+    rng = np.random.default_rng(0)
+    grain = cv2.resize(rng.normal(0, 1, (90, 20)), size, interpolation=cv2.INTER_CUBIC)
+    shade = np.linspace(0.9, 1.1, width)[None, :] + 0.06 * grain
+    color = np.clip(shade[..., None] * np.array([150, 138, 120]), 0, 255).astype(np.uint8)
+    u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    camera = intrinsics(size)
+    pixels = np.c_[u.ravel(), v.ravel()][:, None]
+    rays = cv2.undistortPoints(pixels, camera.matrix, camera.distortion)[:, 0]
+    rotation, translation = _camera_from_base()
+    up = cv2.Rodrigues(rotation)[0][
+        :, 2
+    ]  # the table's normal in the camera frame; the table is up @ p = up @ t
+    depth = (up @ translation) / (np.c_[rays, np.ones(len(rays))] @ up)
+    return color, depth.reshape(height, width)
+
+
+def _observe(
+    pose: PlanarPose,
+    rng: np.random.Generator,
+    size: tuple[int, int],
+    *,
+    exposure: float,
+    time_s: float,
+    depth: bool,
+) -> Observation:
+    table, table_depth = _table(size)
+    color = table.copy()
+    for scale, height, tint in (
+        (1.0, 0.5, 0.8),
+        (0.85, 0.8, 1.0),
+        (0.5, 1.0, 1.12),
+    ):  # a pillow in three steps
+        polygon = to_pixels(_on_table(pose, _outline(scale), height * BAG_HEIGHT_M), size)
+        fixed = np.round(polygon * 256).astype(np.int32)
+        cv2.fillPoly(color, [fixed], tuple(tint * c for c in RED), cv2.LINE_AA, 8)
+    noise = rng.integers(-3, 4, color.shape, dtype=np.int8)
+    color = np.clip(color * np.float32(exposure) + noise, 0, 255).astype(np.uint8)
+    distance = None
+    if depth:
+        mask = np.zeros(color.shape[:2], np.uint8)
+        polygon = to_pixels(_on_table(pose, _outline(1.0), BAG_HEIGHT_M / 2), size)
+        cv2.fillPoly(mask, [np.round(polygon).astype(np.int32)], 1)
+        distance = (np.round((table_depth - BAG_HEIGHT_M * mask) * 1000) / 1000).astype(np.float32)
+    return Observation(color, distance, intrinsics(size), time_s)

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baggie.data.augmentation import WarpRange, random_light, random_warp
+from baggie.geometry import apply_homography
+
+SIZE = (160, 96)
+POINTS = np.array([[40.0, 30.0], [120.0, 70.0]])
+
+
+@given(st.integers(0, 10**6))
+def test_points_stay_in_the_picture(seed):
+    moved = apply_homography(random_warp(np.random.default_rng(seed), SIZE, POINTS), POINTS)
+    margin = WarpRange().margin * max(SIZE) - 1e-6
+    assert (moved >= margin).all()
+    assert (moved <= np.array(SIZE) - 1 - margin).all()
+
+
+@given(st.integers(0, 10**6), st.floats(0, 159), st.floats(0, 95))
+def test_warps_invert(seed, u, v):
+    warp = random_warp(np.random.default_rng(seed), SIZE, POINTS)
+    there = apply_homography(warp, [[u, v]])
+    assert np.allclose(apply_homography(np.linalg.inv(warp), there), [[u, v]], atol=1e-6)
+    assert np.linalg.det(warp) > 0  # nothing is mirrored
+
+
+def test_warps_vary_and_are_repeated_by_seed():
+    one, same, other = (random_warp(np.random.default_rng(seed), SIZE, POINTS) for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.allclose(one, other)
+
+
+def test_points_that_fit_nowhere_leave_the_picture_alone():
+    spread = np.array([[0.0, 0.0], [159.0, 95.0]])
+    assert np.array_equal(random_warp(np.random.default_rng(0), SIZE, spread), np.eye(3))
+
+
+@given(st.integers(0, 10**6))
+def test_light_keeps_the_order_of_brightness(seed):
+    table = random_light(np.random.default_rng(seed)).astype(int)
+    assert table.shape == (256, 3)
+    assert (np.diff(table, axis=0) >= 0).all()
+
+
+def test_no_light_change_at_strength_zero():
+    table = random_light(np.random.default_rng(0), strength=0.0)
+    assert table == pytest.approx(np.repeat(np.arange(256)[:, None], 3, axis=1))

@@ -1,0 +1,57 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from baggie.cli import VERBS, main
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_with_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([verb, "--help"])
+    assert stopped.value.code == 0
+    assert f"Example: baggie {verb}" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("arguments", [[], ["dance"], ["collect"], ["train", "--policy", "magic"]])
+def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["inspect", "nowhere"],
+        ["train", "--data", "nowhere", "--out", "run"],
+        ["validate", "--policy", "nowhere", "--data", "nowhere", "--out", "out"],
+        ["evaluate", "--policy", "nowhere", "--out", "out"],
+        ["evaluate", "--policy", "oracle", "--task", "dance", "--out", "out"],
+        ["collect", "--attempts", "0", "--out", "out"],
+        ["report", "nowhere"],
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_status_1(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = [line for line in captured.err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    assert "Traceback" not in captured.err
+
+
+def test_json_is_one_object_on_stdout(tmp_path: Path) -> None:
+    from baggie.data import DatasetWriter
+
+    with DatasetWriter(tmp_path / "data", task="t", robot_type="r", collection={}):
+        pass
+    command = [sys.executable, "-m", "baggie", "inspect", str(tmp_path / "data"), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["attempts"] == 0

@@ -1,0 +1,241 @@
+import errno
+import functools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import baggie.data.writer
+from baggie import seeds
+from baggie.collect.collect import COVERAGE_FILE, CollectOptions, collect, missing_sittings
+from baggie.collect.summary import coverage
+from baggie.data import open_dataset
+from baggie.errors import BaggieError, DataError
+from baggie.geometry import Rectangle
+from baggie.processes import stream_in_processes
+from fake_workcell import open_fake, open_unhelped
+
+
+def assert_same(a: Path, b: Path) -> None:
+    first, second = open_dataset(a), open_dataset(b)
+    assert first.attempt_ids.tolist() == second.attempt_ids.tolist()
+    for name, values in first.numbers().items():
+        if name != "episode_index":  # the order of arrival
+            assert np.array_equal(values, second.numbers()[name], equal_nan=values.dtype.kind == "f"), name
+    for one, other in zip(first, second, strict=True):
+        assert np.array_equal(one.before.color, other.before.color)
+        assert np.array_equal(one.after.color, other.after.color)
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("reference") / "data"
+    collect(CollectOptions(out=out, attempts=14, seed=3, workers=1), open_fake)
+    return out
+
+
+def test_collects_exactly_what_was_asked_for(reference, capsys):
+    summary = collect(CollectOptions(out=reference, attempts=14, seed=3), open_fake)
+    assert "recorded already" in capsys.readouterr().err
+    assert open_dataset(reference).attempt_ids.tolist() == list(range(14))
+    assert summary["attempts"] == 14
+    assert summary["succeeded"] + sum(summary["failed"].values()) == 14
+    assert summary["attempts_per_minute"] is None
+    assert 0.1 < summary["coverage"] <= 1.0
+    assert (reference / COVERAGE_FILE).stat().st_size > 1000
+    assert json.loads(json.dumps(summary)) == summary
+
+
+def test_the_same_seed_gives_the_same_arrays_whatever_the_workers(reference, tmp_path):
+    collect(CollectOptions(out=tmp_path / "a", attempts=14, seed=3, workers=3), open_fake)
+    assert_same(reference, tmp_path / "a")
+
+
+def test_the_calibration_is_saved_as_a_policy_and_kept(reference):
+    from baggie.policies import ColorMaskPolicy, load_policy
+
+    policy = load_policy(reference / "calibration")
+    assert isinstance(policy, ColorMaskPolicy)
+    assert policy.object_color == open_fake().settings.object_color
+    before = (reference / "calibration" / "image-to-robot.yaml").stat().st_mtime_ns
+    collect(CollectOptions(out=reference, attempts=14, seed=3), open_fake)
+    assert (reference / "calibration" / "image-to-robot.yaml").stat().st_mtime_ns == before
+
+
+def test_another_seed_gives_another_recording_and_is_not_mixed_in(reference):
+    with pytest.raises(DataError, match="seed"):
+        collect(CollectOptions(out=reference, attempts=14, seed=4), open_fake)
+
+
+CHILD = """
+import sys
+from pathlib import Path
+from baggie.collect.collect import CollectOptions, collect
+from fake_workcell import open_slowly
+if __name__ == "__main__":
+    collect(CollectOptions(out=Path(sys.argv[1]), attempts=14, seed=3, workers=2), open_slowly)
+"""
+
+
+def start(out: Path, tmp_path: Path) -> subprocess.Popen[str]:
+    script = tmp_path / "child.py"
+    script.write_text(CHILD)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    return subprocess.Popen(
+        [sys.executable, str(script), str(out)], env=environment, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for_attempts(out: Path, count: int, child: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 60
+    while len(list(out.glob("attempts/*/*.parquet"))) < count:
+        assert child.poll() is None, child.stderr.read()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def children_of(pid: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
+
+
+def running(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_killed_three_times_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path):
+    out = tmp_path / "data"
+    for count in (2, 5, 8):
+        child = start(out, tmp_path)
+        wait_for_attempts(out, count, child)
+        workers = children_of(child.pid)
+        assert workers
+        child.kill()
+        child.wait()
+        deadline = time.monotonic() + 10
+        while any(running(pid) for pid in workers):
+            assert time.monotonic() < deadline, "a worker outlived the collection"
+            time.sleep(0.05)
+    collect(CollectOptions(out=out, attempts=14, seed=3, workers=2), open_fake)
+    assert_same(reference, out)
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
+    out = tmp_path / "data"
+    child = start(out, tmp_path)
+    wait_for_attempts(out, 3, child)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=30)
+    recorded = len(open_dataset(out))
+    assert recorded >= 3
+    assert f"interrupted with {recorded} of 14" in errors
+    assert re.search(r"baggie collect --task bag-place --attempts 14 --seed 3 --cell 0 --out \S+data", errors)
+    assert "KeyboardInterrupt" in errors  # the command line turns it into exit status 130
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+    write_all, calls = baggie.data.writer.write_all, []
+
+    def full(files, partial):
+        calls.append(files)
+        if len(calls) == 5:  # the settings, then attempts
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write_all(files, partial)
+
+    options = CollectOptions(out=tmp_path, attempts=5, seed=3, workers=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(baggie.data.writer, "write_all", full)
+        with pytest.raises(DataError, match="no space left") as caught:
+            collect(options, open_fake)
+    assert "\n" not in str(caught.value)
+    assert len(open_dataset(tmp_path)) == 3
+    assert collect(options, open_fake)["attempts"] == 5
+
+
+def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
+    options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
+    with pytest.raises(BaggieError, match="not in sight"):
+        collect(options, open_unhelped)
+    dataset = open_dataset(tmp_path)
+    assert dataset.attempt_ids.tolist() == list(range(11))
+    assert dataset.failures[-1] == "lost-bag"
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"task": "juggle"}, "bag-place"),
+        ({"attempts": 0}, "attempts"),
+        ({"seed": -1}, "seed"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_impossible_options_are_one_clear_line(tmp_path, change, match):
+    with pytest.raises(BaggieError, match=match):
+        collect(CollectOptions(out=tmp_path, **change), open_fake)
+
+
+def test_missing_ids_are_grouped_by_sitting_early_ones_first():
+    assert missing_sittings(25, {0, 1, 2, 12, 30}) == [
+        tuple(range(3, 10)),
+        (10, 11, 13, 14, 15, 16, 17, 18, 19),
+        tuple(range(20, 25)),
+    ]
+    assert missing_sittings(3, range(10)) == []
+
+
+def test_coverage_counts_squares_reached():
+    area = Rectangle(0.0, 0.10, 0.0, 0.10)
+    assert coverage(np.array([[0.01, 0.01], [0.02, 0.03]]), area) == 0.25
+    assert coverage(np.zeros((0, 2)), area) == 0.0
+
+
+def test_streams_of_scenes_never_meet():
+    names = [seeds.COLLECTION, seeds.PLACES, seeds.CALIBRATION, seeds.EVALUATION]
+    draws = {seeds.generator(name, seed, 0).integers(2**63) for name in names for seed in range(50)}
+    assert len(draws) == 200
+
+
+def times(factor: int):
+    """A worker that refuses 13."""
+
+    def run(task: int):
+        for step in range(3):
+            if task == 13:
+                raise BaggieError("13 brings bad luck")
+            if task == 14:
+                raise ZeroDivisionError("14 is worse")
+            yield factor * task + step
+
+    return run
+
+
+def test_processes_stream_every_result():
+    results = stream_in_processes(functools.partial(times, 10), range(7), workers=3)
+    assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
+
+
+def test_errors_in_processes_come_back_as_they_are():
+    with pytest.raises(BaggieError, match="bad luck"):
+        list(stream_in_processes(functools.partial(times, 1), [1, 13], workers=1))
+    with pytest.raises(RuntimeError, match="14 is worse"):
+        list(stream_in_processes(functools.partial(times, 1), [14], workers=1))

@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from baggie.calibration.collect_points import grid
+from baggie.calibration.homography import ImageToRobot
+from baggie.errors import BaggieError, DataError
+from baggie.geometry import PlanarPose, wrap_angle
+from baggie.policies.base import Policy
+from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.types import Goal, Observation
+from fake_workcell import FakeCell
+from policy_contract import check_policy
+
+SIZE = (640, 360)
+BAG_Z = 0.018
+
+
+@pytest.fixture(scope="module")
+def cell() -> FakeCell:
+    return FakeCell(size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def policy(cell: FakeCell) -> ColorMaskPolicy:
+    robot = grid(cell.settings.workspace, 0.02)
+    seen = cell.camera.project(np.c_[robot, np.full(len(robot), BAG_Z)])
+    return ColorMaskPolicy(ImageToRobot.fit(seen, robot, SIZE, BAG_Z), cell.settings.object_color)
+
+
+def goal_at(cell: FakeCell, pose: PlanarPose) -> Goal:
+    square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.06
+    table = np.c_[square, np.ones(4)] @ pose.matrix().T
+    return Goal(cell.camera.project(np.c_[table[:, :2], np.full(4, BAG_Z)]))
+
+
+def test_keeps_the_contract_of_policies(cell, policy):
+    cell.reset((2,))
+    check_policy(policy, cell.look(), goal_at(cell, PlanarPose(0.5, 0.1, 0.3)))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.tuples(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-0.6, 0.6)), st.integers(0, 1000))
+def test_plans_from_the_bag_to_the_goal(cell, policy, pose, scene):
+    cell.reset((scene,))
+    x, y, yaw = pose
+    target = PlanarPose(x, y, yaw)
+    plan = policy.plan(cell.look(), goal_at(cell, target))
+    assert plan.action.pick.distance(cell.bag) < 0.005
+    assert abs(wrap_angle(plan.action.pick.yaw - cell.bag.yaw, np.pi / 2)) < np.deg2rad(4)
+    assert plan.action.place.distance(target) < 0.002
+    assert abs(wrap_angle(plan.action.place.yaw - yaw, np.pi / 2)) < np.deg2rad(2)
+    assert 0.7 < plan.confidence <= 1.0
+    assert plan.views["object"].shape == (SIZE[1], SIZE[0])
+
+
+def test_smaller_pictures_of_the_same_camera_will_do(cell, policy):
+    cell.reset((3,))
+    seen, goal = cell.look(), goal_at(cell, PlanarPose(0.5, 0.1))
+    full, half = policy.plan(seen, goal), policy.plan(seen.resized(320, 180), goal.scaled(0.5, 0.5))
+    assert full.action.pick.distance(half.action.pick) < 0.002
+    assert full.action.place.distance(half.action.place) < 1e-9
+    with pytest.raises(BaggieError, match="640 x 360"):
+        policy.plan(seen.resized(640, 480), goal)
+
+
+def test_says_when_there_is_no_bag_or_the_goal_is_outside(cell, policy):
+    goal = goal_at(cell, PlanarPose(0.5, 0.0))
+    with pytest.raises(BaggieError, match="found none"):
+        policy.plan(Observation(np.full((360, 640, 3), 140, np.uint8)), goal)
+    with pytest.raises(BaggieError, match="inside the picture"):
+        policy.plan(cell.look(), Goal(goal.corners + np.array([700, 0])))
+
+
+def test_save_and_load_plan_the_same(cell, policy, tmp_path):
+    policy.save(tmp_path / "run")
+    loaded = ColorMaskPolicy.load(tmp_path / "run")
+    cell.reset((4,))
+    seen, goal = cell.look(), goal_at(cell, PlanarPose(0.45, -0.1, 0.2))
+    assert loaded.plan(seen, goal).action == policy.plan(seen, goal).action
+    assert isinstance(loaded, Policy)
+
+
+def test_loading_another_policys_folder_is_one_clear_line(tmp_path):
+    (tmp_path / "config.yaml").write_text("policy: keypoint\n")
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(DataError, match=r"config\.yaml") as caught:
+            ColorMaskPolicy.load(folder)
+        assert "\n" not in str(caught.value)

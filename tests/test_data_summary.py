@@ -1,0 +1,91 @@
+"""What `baggie inspect` tells."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from baggie.data import DatasetWriter, contact_sheet, inspect_dataset, open_dataset
+from baggie.errors import DataError
+from baggie.types import Image
+from synthetic import TASK, WORKSPACE, make_attempt
+
+SIZE = (160, 90)
+FAILED = {1: "missed-grasp", 4: "lost-bag", 6: "missed-grasp"}
+
+
+def load(path: Path) -> Image:
+    return np.asarray(PIL.Image.open(path))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("recording")
+    rng = np.random.default_rng(0)
+    with DatasetWriter(
+        root, task=TASK, robot_type="drawn", picture_size=SIZE, collection={"seed": 3}
+    ) as writer:
+        for i in range(8):
+            attempt = make_attempt(i, rng, SIZE, failure=FAILED.get(i))  # type: ignore[arg-type]
+            if attempt.outcome.failure == "lost-bag":
+                attempt = dataclasses.replace(attempt, after=None, box_after=np.full((4, 2), np.nan))
+            writer.append(attempt)
+    return root
+
+
+def test_inspect_counts_what_was_recorded(recording: Path) -> None:
+    summary = json.loads(json.dumps(inspect_dataset(recording)))
+    assert summary["attempts"] == 8
+    assert summary["succeeded"] == 5
+    assert summary["failed"] == {"missed-grasp": 2, "lost-bag": 1}
+    assert summary["picture_size"] == list(SIZE)
+    assert summary["collection"] == {"seed": 3}
+    # The first begins at 0, the last (the eighth, 20 s apart) ends with its picture after 11.125 s.
+    assert summary["duration_s"] == pytest.approx(7 * 20 + 11.125)
+    coverage = summary["coverage"]
+    assert WORKSPACE.x_min - 0.01 < coverage["x_m"][0] < coverage["x_m"][1] < WORKSPACE.x_max + 0.01
+    assert 8 <= coverage["visited"] <= min(16, coverage["squares"])
+    on_disk = sum(path.stat().st_size for path in recording.rglob("*") if path.is_file())
+    assert summary["megabytes"] == pytest.approx(on_disk / 1e6, abs=0.06)
+
+
+def test_inspect_of_an_empty_dataset(tmp_path: Path) -> None:
+    DatasetWriter(tmp_path, task=TASK, robot_type="drawn").close()
+    summary = inspect_dataset(tmp_path)
+    assert (summary["attempts"], summary["succeeded"], summary["failed"]) == (0, 0, {})
+    with pytest.raises(DataError, match="no attempts yet"):
+        contact_sheet(tmp_path, tmp_path / "sheet.png")
+
+
+def test_contact_sheet_frames_failures_red(recording: Path, tmp_path: Path) -> None:
+    path = contact_sheet(recording, tmp_path / "pictures/sheet.png", columns=3)
+    sheet = load(path)
+    height, width = sheet.shape[0] // 3, sheet.shape[1] // 3
+    for i in range(8):
+        tile = sheet[i // 3 * height : (i // 3 + 1) * height, i % 3 * width : (i % 3 + 1) * width]
+        frame = (220, 30, 30) if i in FAILED else (255, 255, 255)
+        assert tile[0, 0].tolist() == tile[-1, -1].tolist() == list(frame)
+        # The pick is drawn blue in the left half and the place green in the right half, on the bag.
+        attempt = open_dataset(recording)[i]
+        for half, box, channel in ((0, attempt.box_before, 2), (1, attempt.box_after, 1)):
+            picture = tile[3:-3, 3:-3][:, half * 160 : (half + 1) * 160].astype(int)
+            others = np.delete(picture, channel, axis=2).max(axis=2)
+            drawn = np.argwhere(picture[..., channel] - others > 60)
+            if np.isnan(box).any():
+                assert len(drawn) == 0
+            else:
+                low, high = box.min(axis=0), box.max(axis=0)
+                assert len(drawn) > 10
+                assert (drawn[:, ::-1].min(axis=0) >= low - 2).all()
+                assert (drawn[:, ::-1].max(axis=0) <= high + 2).all()
+
+
+def test_contact_sheet_shows_at_most_so_many(recording: Path, tmp_path: Path) -> None:
+    one = load(contact_sheet(recording, tmp_path / "1.png", columns=1, limit=1))
+    three = load(contact_sheet(recording, tmp_path / "3.png", columns=1, limit=3))
+    assert three.shape[0] == 3 * one.shape[0]

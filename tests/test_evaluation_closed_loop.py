@@ -1,0 +1,230 @@
+"""The closed loop in a cell without physics: what is measured is what happened, whatever interrupts it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baggie import seeds
+from baggie.errors import BaggieError, DataError, ReachError
+from baggie.evaluation import closed_loop as module
+from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
+from baggie.evaluation.episode import Bench
+from baggie.evaluation.log import append_line, read_lines
+from baggie.geometry import PlanarPose
+from baggie.policies.oracle import OraclePolicy
+from baggie.types import Observation, Outcome
+from baggie.workcell.workcell import WorkcellSettings
+from synthetic import WORKSPACE, box_corners
+
+SIZE = (320, 180)
+
+
+class FakeCell:
+    """A bag that lands where it is put; the first grasp of every third episode misses."""
+
+    def __init__(self):
+        self.settings = WorkcellSettings(workspace=WORKSPACE)
+
+    def reset(self, seed):
+        assert seed[0] == seeds.EVALUATION
+        self.rng = seeds.generator(*seed)
+        x, y = WORKSPACE.sample(self.rng, 0.02)
+        self.bag = PlanarPose(float(x), float(y), float(self.rng.uniform(-0.7, 0.7)))
+        self.misses = 1 if seed[-1] % 3 == 0 else 0
+
+    def look(self):
+        return Observation(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
+
+    def truth(self):
+        return self.bag
+
+    def goal_corners(self, pose):
+        return box_corners(pose, SIZE)
+
+    def execute(self, action):
+        if self.misses:
+            self.misses -= 1
+            return Outcome(action, "missed-grasp")
+        if action.place.x > 0.7:
+            raise ReachError("too far")
+        self.bag = PlanarPose(action.place.x, action.place.y, 0.0)
+        return Outcome(action)
+
+    @contextmanager
+    def film(self, size=(64, 48), fps=20):
+        frames = []
+        yield frames
+        frames += [np.full((48, 64, 3), shade, np.uint8) for shade in range(0, 200, 20)]
+
+    def close(self):
+        pass
+
+
+class HeatOracle(OraclePolicy):
+    """Tells the truth, with a heat map, and kills the evaluation in the middle of a plan if told to."""
+
+    plans = 0
+    die_at = None
+
+    def plan(self, observation, goal):
+        self.plans += 1
+        if self.plans == self.die_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        view = np.zeros((9, 16), np.float32)
+        view[4, 5] = 1
+        return replace(super().plan(observation, goal), views={"pick": view})
+
+
+class BlindPolicy:
+    name = "blind"
+
+    def plan(self, observation, goal):
+        raise BaggieError("no bag in sight")
+
+
+def open_perfect(_options, off_m=0.0):
+    cell = FakeCell()
+    bench = Bench(cell, HeatOracle(cell.truth, lambda: bench.goal @ PlanarPose(off_m, 0.0)))
+    return bench
+
+
+def open_off_by_25_mm(options):
+    return open_perfect(options, 0.025)
+
+
+def open_far(options):
+    return open_perfect(options, 1.0)
+
+
+def open_blind(_options):
+    return Bench(FakeCell(), BlindPolicy())
+
+
+def open_deadly(options):
+    bench = open_perfect(options)
+    bench.policy.die_at = 4  # the first episode takes two plans
+    return bench
+
+
+def stream_here(open_worker, tasks, _workers):
+    """Spare the start of processes; how those behave is tested where they are made, and once below."""
+    run = open_worker()
+    for task in tasks:
+        yield from run(task)
+
+
+@pytest.fixture
+def in_process(monkeypatch):
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+
+
+def options(out, **changes):
+    return EvaluateOptions(
+        **{"policy": "oracle", "out": out, "episodes": 5, "workers": 1, "film": 1} | changes
+    )
+
+
+def timeless(out):
+    lines = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
+    for line in lines:
+        line.pop("wall_s"), line.pop("decision_ms")
+    return sorted(lines, key=lambda line: line["episode"])
+
+
+def test_oracle_always_succeeds(tmp_path, in_process):
+    one = evaluate(options(tmp_path / "one"), open_perfect)
+    assert one["success"]["rate"] == 1.0
+    assert one["success"]["n"] == 5
+    assert one["distance_cm"]["max"] < 1e-9
+    assert one["failures"] == {}
+    # It looked again where the gripper had missed: episodes 0 and 3.
+    assert [line["looks"] for line in timeless(tmp_path / "one")] == [2, 1, 1, 2, 1]
+    for line in timeless(tmp_path / "one"):
+        assert np.hypot(*(np.array(line["goal"]) - line["start"])[:2]) >= 0.2
+    names = {path.name for path in (tmp_path / "one/episodes").iterdir()}
+    kinds = {f"episode-{n:04d}-{kind}.jpg" for n in range(5) for kind in ("before", "after", "heat")}
+    assert names == kinds | {"episode-0000.mp4"}
+    assert json.loads((tmp_path / "one/metrics.json").read_text()) == one
+
+
+def test_a_known_error_is_what_is_measured(tmp_path, in_process):
+    metrics = evaluate(options(tmp_path), open_off_by_25_mm)
+    assert metrics["distance_cm"]["median"] == pytest.approx(2.5)
+    assert metrics["success"]["rate"] == metrics["success_within"]["1_cm"]["rate"] == 0.0
+    assert metrics["success_within"]["3_cm"]["rate"] == 1.0
+    assert metrics["failures"] == {"off-goal": 5}
+
+
+@pytest.mark.parametrize(("bench", "cause"), [(open_blind, "no-plan"), (open_far, "out-of-reach")])
+def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, in_process, bench, cause):
+    metrics = evaluate(options(tmp_path, episodes=2, retries=0), bench)
+    assert metrics["success"]["rate"] == 0.0
+    assert set(metrics["failures"]) <= {cause, "missed-grasp"}
+    assert metrics["failures"][cause] >= 1
+
+
+def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path, monkeypatch):
+    program = (
+        "import sys; from pathlib import Path; import test_evaluation_closed_loop as t; "
+        "t.module.stream_in_processes = t.stream_here; "
+        "t.evaluate(t.options(Path(sys.argv[1])), t.open_deadly)"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    command = [sys.executable, "-c", program, str(tmp_path / "killed")]
+    killed = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    done = timeless(tmp_path / "killed")
+    assert [line["episode"] for line in done] == [0, 1]
+    with (tmp_path / "killed/episodes.jsonl").open("a") as log:
+        log.write('{"episode": 2, "sta')  # it might have died while writing, too
+    evaluate(options(tmp_path / "killed", workers=2), open_perfect)
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+    evaluate(options(tmp_path / "whole"), open_perfect)
+    assert timeless(tmp_path / "killed") == timeless(tmp_path / "whole")
+
+
+def test_more_episodes_add_to_those_there_are(tmp_path, in_process):
+    evaluate(options(tmp_path, episodes=2), open_perfect)
+    first = (tmp_path / "episodes.jsonl").read_text()
+    assert evaluate(options(tmp_path, episodes=3), open_perfect)["success"]["n"] == 3
+    assert (tmp_path / "episodes.jsonl").read_text().startswith(first)
+    assert evaluate(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
+
+
+def test_another_evaluation_in_the_same_folder_is_refused(tmp_path, in_process):
+    evaluate(options(tmp_path, episodes=1), open_perfect)
+    with pytest.raises(BaggieError, match="holds an evaluation with seed 0, not 1"):
+        evaluate(options(tmp_path, episodes=1, seed=1), open_perfect)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"task": "juggle"}, "task among bag-place"),
+        ({"episodes": 0}, "--episodes"),
+        ({"workers": 0}, "--workers"),
+    ],
+)
+def test_impossible_wishes_are_refused(tmp_path, change, message):
+    with pytest.raises(BaggieError, match=message):
+        evaluate(options(tmp_path, **change), open_perfect)
+
+
+def test_log_gives_back_what_was_written_and_names_a_broken_line(tmp_path):
+    log = tmp_path / "log.jsonl"
+    assert read_lines(log) == []
+    records = [{"a": 1, "b": [1.5, "x"]}, {"a": 2}]
+    for record in records:
+        append_line(log, record)
+    assert read_lines(log) == records
+    log.write_text('{"a": 1}\nnonsense\n{"a": 2}\n')
+    with pytest.raises(DataError, match="line 2"):
+        read_lines(log)

@@ -1,0 +1,152 @@
+"""Validation finds exactly the errors a policy makes, on exactly the attempts it has not learned from."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+
+from baggie.data import DatasetWriter, open_dataset
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation import validate as module
+from baggie.evaluation.heldout import demonstrations, held_out
+from baggie.evaluation.validate import ValidateOptions, validate
+from baggie.geometry import PlanarPose
+from baggie.types import PickPlace, Plan
+from synthetic import TASK, make_attempt
+
+SIZE = (320, 180)
+FAILED = (3, 7)
+
+
+def record(folder, attempts=14, seed=0):
+    rng = np.random.default_rng(seed)
+    settings = {"task": TASK, "picture_size": SIZE, "collection": {"seed": seed}}
+    with DatasetWriter(folder, robot_type="drawn", **settings) as writer:
+        for attempt_id in range(attempts):
+            failure = "dropped" if attempt_id in FAILED else None
+            writer.append(make_attempt(attempt_id, rng, SIZE, failure=failure, depth=False))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("recording") / "bags")
+
+
+class FakePolicy:
+    """Tells the truth, wrong by what the test says: 3, 4 mm at the pick, `place_off` at the place."""
+
+    name = "fake"
+
+    def __init__(self, folder, blind=()):
+        self.attempts = {a.before.color.tobytes(): a for a in open_dataset(folder)}
+        self.blind, self.seen = blind, []
+
+    def plan(self, observation, goal):
+        attempt = self.attempts[observation.color.tobytes()]
+        self.seen.append(attempt.attempt_id)
+        if attempt.attempt_id in self.blind:
+            raise BaggieError("no bag in sight")
+        before, after = attempt.truth.before, attempt.truth.after
+        pick = PlanarPose(before.x + 0.003, before.y - 0.004, before.yaw + np.pi / 2 + 0.1)
+        place = PlanarPose(after.x + 0.001 * (attempt.attempt_id + 2), after.y, after.yaw)
+        return Plan(PickPlace(pick, place), 0.5, {"pick": np.eye(9, 16, dtype=np.float32)})
+
+
+def run_of(tmp_path, recording, train=(0, 1, 2), val=(4, 5, 6)):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    split = {"train": list(train), "val": list(val)}
+    config = {"policy": "keypoint", "training": {"data": str(recording), "split": split}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    return folder
+
+
+def test_known_errors_are_recovered_and_the_worst_are_shown(tmp_path, recording, monkeypatch):
+    monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(recording))
+    run = run_of(tmp_path, recording, val=(4, 5, 6, 8, 9, 10, 11, 12, 13, 3))
+    out = tmp_path / "out"
+    metrics = validate(ValidateOptions(str(run), recording, out))
+    kept = [4, 5, 6, 8, 9, 10, 11, 12, 13]  # attempt 3 failed
+    truth = metrics["truth"]
+    assert truth["pick_error_cm"]["mean"] == truth["pick_error_cm"]["max"] == pytest.approx(0.5)
+    assert truth["place_error_cm"]["mean"] == pytest.approx(0.1 * np.mean(kept) + 0.2)
+    assert truth["place_error_cm"]["max"] == pytest.approx(1.5)
+    assert truth["pick_yaw_error_deg"]["median"] == pytest.approx(np.degrees(0.1))
+    assert truth["place_yaw_error_deg"]["max"] == pytest.approx(0, abs=1e-6)
+    # The labels are 2 mm off the truth, so errors against them are near, and not the same.
+    assert metrics["labels"]["pick_error_cm"]["mean"] == pytest.approx(0.5, abs=0.2)
+    assert metrics["labels"]["pick_error_cm"]["mean"] != pytest.approx(0.5, abs=1e-4)
+    assert metrics["decision_ms"]["n"] == metrics["held_out"]["attempts"] == len(kept)
+    assert json.loads((out / "metrics.json").read_text()) == metrics
+
+    written = json.loads((out / "predictions.json").read_text())
+    assert [prediction["attempt_id"] for prediction in written["predictions"]] == kept
+    assert [case["attempt_id"] for case in written["worst"]] == kept[::-1]
+    assert all(
+        (out / case[kind]).stat().st_size > 1000 for case in written["worst"] for kind in ("picture", "heat")
+    )
+
+
+def test_attempts_without_a_plan_are_counted_and_come_first(tmp_path, recording, monkeypatch):
+    monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(recording, blind=(12,)))
+    metrics = validate(ValidateOptions("color-mask", recording, tmp_path, last=4))
+    assert metrics["without_plan"] == 1
+    assert metrics["truth"]["pick_error_cm"]["n"] == 3
+    assert json.loads((tmp_path / "predictions.json").read_text())["worst"][0]["attempt_id"] == 12
+    monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(recording, blind=range(20)))
+    with pytest.raises(BaggieError, match="none of 4 held-out attempts: no bag in sight"):
+        validate(ValidateOptions("color-mask", recording, tmp_path / "blind", last=4))
+
+
+def ids(chosen, dataset):
+    return [int(dataset.attempt_ids[index]) for index in chosen.indices]
+
+
+def test_training_attempts_are_never_measured_on_where_the_recording_is_or_was(tmp_path, recording):
+    run = str(run_of(tmp_path, recording))
+    original, copy = open_dataset(recording), open_dataset(shutil.copytree(recording, tmp_path / "copy"))
+    for dataset in (original, copy):
+        chosen = held_out(run, dataset, 50)
+        assert ids(chosen, dataset) == [4, 5, 6]
+        assert "kept for validation" in chosen.which
+    moved = run_of(tmp_path / "copy", tmp_path / "gone")
+    chosen = held_out(str(moved), original, 50)
+    assert ids(chosen, original) == [4, 5, 6]
+    assert "not there to compare" in chosen.which
+
+
+def test_another_recording_is_used_whole_and_said_so(tmp_path, recording):
+    run = str(run_of(tmp_path, recording))
+    other = open_dataset(record(tmp_path / "other", seed=1))
+    chosen = held_out(run, other, 50)
+    assert chosen.indices == demonstrations(other)
+    assert len(chosen.indices) == 12
+    assert "another recording" in chosen.which
+
+
+def test_without_validation_attempts_the_rest_is_taken(tmp_path, recording):
+    dataset = open_dataset(recording)
+    run = run_of(tmp_path, recording, train=range(10), val=())
+    assert ids(held_out(str(run), dataset, 50), dataset) == [10, 11, 12, 13]
+    (run / "config.yaml").unlink()
+    run.rmdir()
+    run = run_of(tmp_path, recording, train=range(14), val=())
+    with pytest.raises(BaggieError, match="no successful attempt that is new"):
+        held_out(str(run), dataset, 50)
+
+
+def test_untrained_policies_get_the_last_successful_attempts(recording):
+    dataset = open_dataset(recording)
+    chosen = held_out("color-mask", dataset, 7)
+    assert ids(chosen, dataset) == [6, 8, 9, 10, 11, 12, 13]
+    assert not set(FAILED) & set(ids(held_out("color-mask", dataset, 50), dataset))
+
+
+def test_no_recording_and_no_policy_are_told_in_one_line(tmp_path, recording):
+    for policy, data in (("color-mask", tmp_path / "none"), (str(tmp_path / "norun"), recording)):
+        with pytest.raises(DataError) as raised:
+            validate(ValidateOptions(policy, data, tmp_path / "out"))
+        assert "\n" not in str(raised.value)

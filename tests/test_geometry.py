@@ -1,0 +1,60 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baggie.geometry import PlanarPose, Rectangle, apply_homography, invert_transform, wrap_angle
+
+poses = st.builds(PlanarPose, st.floats(-2, 2), st.floats(-2, 2), st.floats(-math.pi, math.pi))
+IDENTITY = PlanarPose(0.0, 0.0, 0.0)
+
+
+def assert_same(a: PlanarPose, b: PlanarPose) -> None:
+    np.testing.assert_allclose(a.matrix(), b.matrix(), atol=1e-9)
+
+
+@given(poses, poses, poses)
+def test_planar_poses_are_a_group(a: PlanarPose, b: PlanarPose, c: PlanarPose) -> None:
+    assert_same((a @ b) @ c, a @ (b @ c))
+    assert_same(a @ IDENTITY, a)
+    assert_same(a @ a.inverse(), IDENTITY)
+    assert_same(a.inverse() @ a, IDENTITY)
+
+
+@given(poses, poses)
+def test_composition_is_matrix_multiplication(a: PlanarPose, b: PlanarPose) -> None:
+    np.testing.assert_allclose((a @ b).matrix(), a.matrix() @ b.matrix(), atol=1e-9)
+
+
+@given(st.floats(-100, 100), st.sampled_from([math.pi / 2, math.pi, 2 * math.pi]))
+def test_wrapped_angles_are_the_same_angle_in_one_period(angle: float, period: float) -> None:
+    wrapped = wrap_angle(angle, period)
+    assert -period / 2 - 1e-12 <= wrapped <= period / 2 + 1e-12
+    turns = (angle - wrapped) / period
+    assert turns == pytest.approx(round(turns), abs=1e-9)
+
+
+@given(st.integers(0, 2**31))
+def test_homographies_invert(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    matrix = np.eye(3) + rng.uniform(-0.2, 0.2, (3, 3)) * [[1, 1, 1], [1, 1, 1], [0.5, 0.5, 0.5]]
+    points = rng.uniform(-0.5, 0.5, (8, 2))
+    there = apply_homography(matrix, points)
+    np.testing.assert_allclose(apply_homography(np.linalg.inv(matrix), there), points, atol=1e-8)
+
+
+def test_a_transform_times_its_inverse_is_the_identity() -> None:
+    angle = 0.7
+    transform = np.eye(4)
+    transform[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    transform[:3, 3] = [1.0, -2.0, 0.5]
+    np.testing.assert_allclose(transform @ invert_transform(transform), np.eye(4), atol=1e-12)
+
+
+@given(st.integers(0, 2**31), st.floats(0, 0.1))
+def test_samples_lie_inside_by_the_margin(seed: int, margin: float) -> None:
+    area = Rectangle(0.3, 0.7, -0.3, 0.3)
+    x, y = area.sample(np.random.default_rng(seed), margin)
+    assert area.contains(x, y, margin - 1e-9)

@@ -1,0 +1,349 @@
+"""Training: what it learns, what it writes, and that a kill costs nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from baggie.data.annotation import goal_of
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation.metrics import yaw_error_deg
+from baggie.geometry import PlanarPose, apply_homography
+from baggie.learning import TrainOptions, train
+from baggie.learning.background import deferred_interrupt, prefetched
+from baggie.learning.keypoint import KeypointRecipe
+from baggie.learning.measure import measure
+from baggie.learning.regression import RegressionRecipe
+from baggie.learning.split import Split
+from baggie.learning.state import FILE
+from baggie.policies import load_policy, planar_map
+from baggie.types import Goal, Observation
+from policy_contract import check_policy
+from synthetic import box_corners, make_attempt
+
+SIZE = (320, 180)
+
+
+def make_attempts(count: int = 10):
+    return [make_attempt(i, np.random.default_rng([1, i]), SIZE, depth=False) for i in range(count)]
+
+
+ATTEMPTS = make_attempts()
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    torch.set_num_threads(1)
+
+
+def options(out: Path, **changes) -> TrainOptions:
+    given = {"train": 8, "val": 2, "steps": 6, "device": "cpu", "save_every_s": 1000.0} | changes
+    return TrainOptions(data=Path("drawn"), out=out, **given)
+
+
+# --- what is learned
+# ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def overfitted(tmp_path_factory) -> Path:
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("run")
+    train(options(out, steps=70), ATTEMPTS)
+    return out
+
+
+def test_learns_eight_attempts(overfitted):
+    policy = load_policy(overfitted)
+    for attempt in ATTEMPTS[:8]:
+        plan = policy.plan(attempt.before, goal_of(attempt))
+        assert plan.action.pick.distance(attempt.truth.before) < 0.02
+        assert plan.action.place.distance(attempt.truth.after) < 0.02
+        assert plan.confidence > 0.3
+
+
+def test_a_trained_policy_keeps_the_contract(overfitted):
+    check_policy(load_policy(overfitted), ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
+
+
+def test_an_empty_table_is_one_clear_line(overfitted):
+    empty = np.median([attempt.before.color for attempt in ATTEMPTS], axis=0).astype(np.uint8)
+    with pytest.raises(BaggieError, match="no bag in sight"):
+        load_policy(overfitted).plan(Observation(empty), goal_of(ATTEMPTS[0]))
+
+
+def test_the_place_turns_with_the_goal(overfitted):
+    policy, attempt = load_policy(overfitted), ATTEMPTS[0]
+    for yaw in (-0.6, 0.0, 0.5):
+        goal = Goal(box_corners(PlanarPose(0.5, 0.05, yaw), SIZE))
+        place = policy.plan(attempt.before, goal).action.place
+        assert yaw_error_deg(place, PlanarPose(0.5, 0.05, yaw)) < 3
+
+
+def test_a_goal_over_the_bag_does_not_hide_it(overfitted):
+    policy, attempt = load_policy(overfitted), ATTEMPTS[0]
+    over = Goal(attempt.box_before + np.array([3.0, 2.0]))
+    there, away = (policy.plan(attempt.before, goal).action.pick for goal in (over, goal_of(attempt)))
+    assert there.distance(away) < 0.02
+
+
+def test_plans_alike_at_any_resolution(overfitted):
+    policy, attempt = load_policy(overfitted), ATTEMPTS[0]
+    double = replace(attempt.before, color=cv2.resize(attempt.before.color, (640, 360)))
+    small = policy.plan(attempt.before, goal_of(attempt)).action
+    large = policy.plan(double, goal_of(attempt).scaled(2, 2)).action
+    assert small.pick.distance(large.pick) < 0.003
+    assert small.place.distance(large.place) < 0.003
+
+
+def test_a_run_holds_what_is_promised(overfitted):
+    names = {path.name for path in overfitted.iterdir()}
+    assert {"config.yaml", "policy.safetensors", "metrics.json", "resume.pt"} <= names
+    assert any(name.startswith("events.out.tfevents") for name in names)
+    metrics = json.loads((overfitted / "metrics.json").read_text())
+    assert metrics["train_s"] > 0
+    for reference in ("labels", "truth"):
+        for quantity in ("pick_error_cm", "place_error_cm"):
+            assert set(metrics[reference][quantity]) == {"mean", "median", "p95", "max", "n"}
+            assert metrics[reference][quantity]["n"] == 2
+    config = yaml.safe_load((overfitted / "config.yaml").read_text())
+    assert (config["policy"], config["cell"], config["picture_size"]) == ("keypoint", 0, list(SIZE))
+    assert config["training"]["split"]["train"] == list(range(8))
+    assert config["training"]["split"]["val"] == [8, 9]
+
+
+# --- calibration-free augmentation
+# ----------------------------------------------------------------------------------
+
+
+def with_a_dot(attempt, at):
+    """The attempt with a black picture and one bright dot, at a pixel (u, v)."""
+    picture = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+    cv2.circle(
+        picture, tuple(np.round(np.asarray(at) * 16).astype(int)), 3 * 16, (255, 255, 255), -1, cv2.LINE_8, 4
+    )
+    return replace(attempt, before=replace(attempt.before, color=picture))
+
+
+def test_warped_labels_are_exact():
+    """For an f that is exact, g(A⁻¹ f(A·I)) is the label, whatever the warp A."""
+    recipe = KeypointRecipe(ATTEMPTS)
+    for seed in range(5):
+        batch = recipe.batch(np.random.default_rng(seed))
+        points = planar_map.apply(batch["to_picture"].unsqueeze(1), batch["cells"])
+        found = recipe.policy.network.to_robot(points)
+        assert torch.allclose(found, batch["xy"], atol=2e-5)
+
+
+def test_warped_pictures_are_where_their_coordinates_say():
+    """f is exact here: it finds the one dot in the warped picture, which must lead back to where it was."""
+    dots = [attempt.box_before.mean(axis=0) for attempt in ATTEMPTS]
+    attempts = [with_a_dot(attempt, dot) for attempt, dot in zip(ATTEMPTS, dots, strict=True)]
+    recipe = KeypointRecipe(attempts)
+    normalized = apply_homography(recipe.policy.view.normalize(), np.array(dots))
+    batch = recipe.batch(np.random.default_rng(0))
+    half_pixels = []
+    for image, to_picture in zip(batch["images"].numpy(), batch["to_picture"].numpy(), strict=True):
+        gray = image[:3].astype(float).mean(axis=0)
+        weight = np.where(gray > gray.max() / 2, gray, 0)
+        v, u = np.mgrid[: gray.shape[0], : gray.shape[1]]
+        centre = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+        found = apply_homography(to_picture, [(centre - 0.5) / 2])
+        half_pixels.append(np.linalg.norm(normalized - found, axis=1).min() * SIZE[0] / 2)
+    assert max(half_pixels) < 0.3  # pixels of the camera's picture
+
+
+def test_goals_are_exchanged_between_attempts():
+    recipe = KeypointRecipe(ATTEMPTS)
+    labels = {
+        (tuple(np.float32(a.outcome.executed.pick.xy)), tuple(np.float32(a.outcome.executed.place.xy)))
+        for a in ATTEMPTS
+    }
+    batches = [recipe.batch(np.random.default_rng(seed))["xy"].numpy() for seed in range(4)]
+    pairs = {(tuple(pick), tuple(place)) for batch in batches for pick, place in batch}
+    assert len(pairs - labels) > len(pairs) / 2
+
+
+def test_batches_follow_from_their_seed():
+    recipes = KeypointRecipe(ATTEMPTS), RegressionRecipe(ATTEMPTS, "solid", (0, 200, 0), None)
+    for recipe in recipes:
+        one, same, other = (recipe.batch(np.random.default_rng(seed)) for seed in (4, 4, 5))
+        assert all(torch.equal(one[name], same[name]) for name in one)
+        assert not torch.equal(one["images"], other["images"])
+
+
+# --- going on, and what stops it
+# ------------------------------------------------------------------------------------
+
+
+def weights(out: Path) -> dict[str, torch.Tensor]:
+    return load_policy(out).network.state_dict()
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+import torch
+torch.set_num_threads(1)
+import test_learning
+test_learning.train(test_learning.options(Path({out!r}), save_every_s=0.0, steps=9), test_learning.ATTEMPTS)
+"""
+
+
+def test_a_killed_training_ends_in_the_same_weights(tmp_path):
+    code = KILLED.format(tests=str(Path(__file__).parent), out=str(tmp_path / "killed"))
+    child = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+    resume = tmp_path / "killed" / FILE
+    deadline = time.monotonic() + 120
+    step = 0
+    while step < 3 and child.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+        step = torch.load(resume, weights_only=True)["step"] if resume.exists() else 0
+    child.send_signal(signal.SIGKILL)
+    assert child.wait() == -signal.SIGKILL, "it should not have come to its end"
+    assert not (tmp_path / "killed" / "metrics.json").exists()
+    at_kill = torch.load(resume, weights_only=True)["step"]
+    assert 3 <= at_kill < 9
+
+    train(options(tmp_path / "killed", steps=9), ATTEMPTS)
+    train(options(tmp_path / "whole", steps=9), ATTEMPTS)
+    killed, whole = weights(tmp_path / "killed"), weights(tmp_path / "whole")
+    assert all(torch.equal(killed[name], whole[name]) for name in whole)
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path, monkeypatch):
+    made = KeypointRecipe.batch
+
+    def interrupting(self, rng):
+        os.kill(os.getpid(), signal.SIGINT)
+        monkeypatch.setattr(KeypointRecipe, "batch", made)
+        return made(self, rng)
+
+    monkeypatch.setattr(KeypointRecipe, "batch", interrupting)
+    with pytest.raises(KeyboardInterrupt, match="run the same command again to go on"):
+        train(options(tmp_path / "a"), ATTEMPTS)
+    assert torch.load(tmp_path / "a" / FILE, weights_only=True)["step"] >= 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert train(options(tmp_path / "a"), ATTEMPTS)["steps"] == 6
+
+
+def test_a_finished_run_says_so_and_is_left_alone(overfitted, capsys):
+    before = (overfitted / "policy.safetensors").stat().st_mtime_ns
+    metrics = train(options(overfitted, steps=70), ATTEMPTS)
+    assert metrics == json.loads((overfitted / "metrics.json").read_text())
+    assert (overfitted / "policy.safetensors").stat().st_mtime_ns == before
+    assert "finished" in capsys.readouterr().err
+
+
+def test_another_training_in_the_same_folder_is_refused(overfitted):
+    for changes in ({"steps": 71}, {"steps": 70, "seed": 1}, {"steps": 70, "train": 7}):
+        with pytest.raises(DataError, match="other options or data"):
+            train(options(overfitted, **changes), ATTEMPTS)
+
+
+def test_a_damaged_state_is_one_clear_line(tmp_path):
+    train(options(tmp_path, steps=1), ATTEMPTS)
+    (tmp_path / "metrics.json").unlink()
+    (tmp_path / FILE).write_bytes((tmp_path / FILE).read_bytes()[:5000])
+    with pytest.raises(DataError, match=r"resume\.pt cannot be read") as error:
+        train(options(tmp_path, steps=1), ATTEMPTS)
+    assert "\n" not in str(error.value)
+
+
+def test_the_published_recipe_runs(tmp_path):
+    metrics = train(options(tmp_path, policy="regression", steps=2), ATTEMPTS)
+    assert metrics["labels"]["pick_error_cm"]["n"] == 2
+    assert load_policy(tmp_path).name == "regression"
+
+
+# --- which attempts
+# -------------------------------------------------------------------------------------------------
+
+
+def test_failures_are_never_learned_from():
+    failed = [make_attempt(i, np.random.default_rng(i), SIZE, failure="dropped", depth=False) for i in (0, 3)]
+    split = Split.of(sorted([*failed, *ATTEMPTS[4:]], key=lambda a: a.attempt_id), 4, 2)
+    assert [a.attempt_id for a in split.train] == [4, 5, 6, 7]
+    assert [a.attempt_id for a in split.val] == [8, 9]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a[:9], "needs 10 that succeeded, but the recording has 9"),
+        (lambda a: [*a[:9], replace(a[9], cell=4)], "mixes cells"),
+        (
+            lambda a: [*a[:9], make_attempt(9, np.random.default_rng(9), (160, 90), depth=False)],
+            "mixes picture sizes",
+        ),
+    ],
+)
+def test_unfit_recordings_are_one_clear_line(tmp_path, change, message):
+    with pytest.raises(DataError, match=message) as error:
+        train(options(tmp_path), change(ATTEMPTS))
+    assert "\n" not in str(error.value)
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(DataError, match="cannot be written") as error:
+        train(options(tmp_path / "taken" / "run"), ATTEMPTS)
+    assert "\n" not in str(error.value)
+
+
+def test_goals_a_policy_cannot_tell_are_counted(overfitted):
+    policy = load_policy(overfitted)
+    far = replace(ATTEMPTS[9], box_after=np.array([[5.0, 5], [25, 5], [25, 25], [5, 25]]))
+    measured = measure(policy, [ATTEMPTS[8], far])
+    assert measured["without_plan"] == 1
+    assert measured["labels"]["pick_error_cm"]["n"] == 1
+    assert measure(policy, [far]) == {"without_plan": 1}
+
+
+def test_a_device_that_is_not_there(tmp_path):
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(BaggieError, match="device cuda was asked for"):
+        train(options(tmp_path, device="cuda"), ATTEMPTS)
+
+
+def test_weights_are_for_the_regressor(tmp_path):
+    with pytest.raises(BaggieError, match="regression"):
+        train(options(tmp_path, weights="some/where"), ATTEMPTS)
+
+
+# --- helpers
+# --------------------------------------------------------------------------------------------------------
+
+
+def test_prefetching_keeps_the_order_and_passes_errors_on():
+    assert list(prefetched(lambda step: step * step, range(3, 20))) == [step * step for step in range(3, 20)]
+    assert list(prefetched(str, range(5, 5))) == []
+    with pytest.raises(ZeroDivisionError):
+        list(prefetched(lambda step: 1 // (step - 2), range(5)))
+
+
+def interrupted_twice() -> None:
+    with deferred_interrupt() as asked:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        assert asked.is_set()
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1)
+
+
+def test_a_second_ctrl_c_breaks():
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_twice()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

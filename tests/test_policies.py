@@ -1,0 +1,217 @@
+"""Contracts, checkpoints, the published network's shape."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+import yaml
+
+from baggie.calibration.homography import ImageToRobot
+from baggie.data.annotation import goal_of
+from baggie.errors import BaggieError, DataError
+from baggie.geometry import PlanarPose
+from baggie.policies import (
+    ColorMaskPolicy,
+    KeypointPolicy,
+    OraclePolicy,
+    RegressionPolicy,
+    load_policy,
+)
+from baggie.policies.keypoint_net import KeypointNet
+from baggie.policies.regression import RegressionNet, Regressor
+from baggie.policies.resnet import ResNet18, load_imagenet
+from baggie.policies.view import View
+from policy_contract import check_policy
+from synthetic import RED, box_corners, make_attempt, to_pixels
+
+SIZE = (640, 360)
+VIEW = View(SIZE, 180, 90, 450, 290, (160, 120))
+
+
+@pytest.fixture(scope="module")
+def attempt():
+    return make_attempt(5, np.random.default_rng(5), SIZE, depth=False)
+
+
+@pytest.fixture(scope="module")
+def keypoint():
+    torch.manual_seed(0)
+    network = KeypointNet()
+    with torch.no_grad():
+        network.heat.weight.mul_(300)  # untrained, but as sure as a trained one
+    return KeypointPolicy(network, VIEW, cell=3)
+
+
+@pytest.fixture(scope="module")
+def regression():
+    torch.manual_seed(0)
+    return RegressionPolicy(RegressionNet(), SIZE, 0, "outline", (0, 0, 255))
+
+
+def color_mask() -> ColorMaskPolicy:
+    xy = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
+    pixels = to_pixels(np.c_[xy, np.full(len(xy), 0.015)], SIZE)
+    return ColorMaskPolicy(ImageToRobot.fit(pixels, xy, SIZE, height_m=0.015), RED)
+
+
+def test_every_policy_keeps_the_contract(attempt, keypoint, regression):
+    truth = attempt.truth
+    check_policy(keypoint, attempt.before, goal_of(attempt))
+    check_policy(regression, attempt.before, goal_of(attempt))
+    check_policy(color_mask(), attempt.before, goal_of(attempt))
+    oracle = OraclePolicy(lambda: truth.before, lambda: truth.after)
+    check_policy(oracle, attempt.before, goal_of(attempt), looks_at_goal=False)
+
+
+def test_oracle_says_the_truth_as_it_is_now(attempt):
+    poses = [PlanarPose(0.4, 0.1, 0.2), PlanarPose(0.5, -0.1, 0.0)]
+    oracle = OraclePolicy(lambda: poses[0], lambda: poses[1])
+    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick == poses[0]
+    poses[0] = PlanarPose(0.6, 0.0)
+    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick == poses[0]
+
+
+def published_resnet18() -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the published ImageNet weights, by the rule they follow."""
+
+    def norm(name, channels):
+        shapes = dict.fromkeys(("weight", "bias", "running_mean", "running_var"), (channels,))
+        return {f"{name}.{part}": shape for part, shape in {**shapes, "num_batches_tracked": ()}.items()}
+
+    shapes = {"conv1.weight": (64, 3, 7, 7), **norm("bn1", 64)}
+    inputs = 64
+    for layer, channels in enumerate((64, 128, 256, 512), start=1):
+        for block in (0, 1):
+            name = f"layer{layer}.{block}"
+            shapes[f"{name}.conv1.weight"] = (channels, inputs, 3, 3)
+            shapes[f"{name}.conv2.weight"] = (channels, channels, 3, 3)
+            shapes |= norm(f"{name}.bn1", channels) | norm(f"{name}.bn2", channels)
+            if inputs != channels:
+                shapes[f"{name}.downsample.0.weight"] = (channels, inputs, 1, 1)
+                shapes |= norm(f"{name}.downsample.1", channels)
+            inputs = channels
+    return shapes | {"fc.weight": (1000, 512), "fc.bias": (1000,)}
+
+
+def test_resnet18_has_the_published_names_and_shapes():
+    network = ResNet18()
+    shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    assert shapes == published_resnet18()
+    assert len(shapes) == 122
+    assert sum(parameter.numel() for parameter in network.parameters()) == 11_689_512
+
+
+def test_regressor_is_the_published_one():
+    head = [layer for layer in Regressor().head if isinstance(layer, torch.nn.Linear)]
+    assert [(layer.in_features, layer.out_features) for layer in head] == [(1000, 128), (128, 32), (32, 2)]
+
+
+@pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
+def test_imagenet_weights_load_from_files(tmp_path, suffix):
+    path, weights = tmp_path / f"resnet18{suffix}", ResNet18().state_dict()
+    without_counters = {k: v for k, v in weights.items() if not k.endswith("num_batches_tracked")}
+    (torch.save if suffix == ".pth" else safetensors.torch.save_file)(without_counters, path)
+    network = ResNet18()
+    network.load_state_dict(load_imagenet(str(path)))
+    assert torch.equal(network.layer4[1].conv2.weight, weights["layer4.1.conv2.weight"])
+
+
+def test_wrong_imagenet_weights_are_one_clear_line(tmp_path):
+    other = tmp_path / "other.safetensors"
+    safetensors.torch.save_file({"conv1.weight": torch.zeros(3, 3)}, other)
+    cut = tmp_path / "cut.pth"
+    torch.save(ResNet18().state_dict(), cut)
+    cut.write_bytes(cut.read_bytes()[:1000])
+    for source in (other, cut, tmp_path / "none.pth"):
+        with pytest.raises(DataError) as error:
+            load_imagenet(str(source))
+        assert "\n" not in str(error.value)
+        assert source.name in str(error.value)
+
+
+def test_saved_policies_plan_the_same(tmp_path, attempt, keypoint, regression):
+    for policy in (keypoint, regression):
+        policy.save_pretrained(tmp_path / policy.name)
+        loaded = load_policy(tmp_path / policy.name)
+        assert type(loaded) is type(policy)
+        assert (loaded.cell, loaded.picture_size) == (policy.cell, policy.picture_size)
+        plans = [p.plan(attempt.before, goal_of(attempt)).action.to_array() for p in (policy, loaded)]
+        assert np.array_equal(*plans)
+        assert sorted(path.name for path in (tmp_path / policy.name).iterdir()) == [
+            "config.yaml",
+            "policy.safetensors",
+        ]
+
+
+def test_color_mask_loads_too(tmp_path, attempt):
+    color_mask().save(tmp_path)
+    assert load_policy(tmp_path).name == "color-mask"
+
+
+def break_config(folder, **changes):
+    config = yaml.safe_load((folder / "config.yaml").read_text()) | changes
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda folder: (folder / "policy.safetensors").unlink(),
+        lambda folder: (folder / "config.yaml").unlink(),
+        lambda folder: (folder / "config.yaml").write_text("- nothing"),
+        lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe: ["),
+        lambda folder: (folder / "policy.safetensors").write_bytes(
+            (folder / "policy.safetensors").read_bytes()[:-100]
+        ),
+        lambda folder: break_config(folder, policy="regression"),
+        lambda folder: break_config(folder, policy="transporter"),
+        lambda folder: break_config(folder, model={"width": 8}),
+        lambda folder: break_config(folder, picture_size=None),
+    ],
+)
+def test_damaged_checkpoints_are_one_clear_line(tmp_path, keypoint, damage):
+    keypoint.save_pretrained(tmp_path)
+    damage(tmp_path)
+    with pytest.raises(DataError) as error:
+        load_policy(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_checkpoint_of_another_policy_is_refused(tmp_path, keypoint):
+    keypoint.save_pretrained(tmp_path)
+    with pytest.raises(DataError, match="holds a keypoint policy, but regression was asked for"):
+        RegressionPolicy.from_pretrained(tmp_path)
+
+
+def test_neither_folder_nor_hub_id():
+    with pytest.raises(DataError, match="neither the folder"):
+        load_policy("no such/folder/at all")
+
+
+def test_pictures_of_another_shape_are_refused(attempt, keypoint):
+    small = replace(attempt.before, color=attempt.before.color[:, :480])
+    with pytest.raises(BaggieError, match="another camera"):
+        keypoint.plan(small, replace(goal_of(attempt), corners=box_corners(PlanarPose(0.5, 0.1), SIZE)))
+
+
+def test_goal_where_no_attempt_was_is_refused(attempt, keypoint):
+    far = replace(goal_of(attempt), corners=np.array([[5.0, 5], [35, 5], [35, 35], [5, 35]]))
+    with pytest.raises(BaggieError, match="outside of what the training attempts covered"):
+        keypoint.plan(attempt.before, far)
+
+
+def test_goals_drawing_is_the_policys_own_business(attempt, keypoint, regression):
+    goal = goal_of(attempt)
+    other = replace(goal, style="outline", color=(255, 0, 0))
+    for policy in (keypoint, regression):
+        plans = [policy.plan(attempt.before, g).action.to_array() for g in (goal, other)]
+        assert np.array_equal(*plans)
+
+
+def test_regression_has_no_yaw(attempt, regression):
+    action = regression.plan(attempt.before, goal_of(attempt)).action
+    assert (action.pick.yaw, action.place.yaw) == (0.0, 0.0)
+    assert math.isfinite(action.pick.x)

@@ -1,0 +1,139 @@
+"""The geometry inside the keypoint policy: points from heat maps, the map to the robot, angles as phases."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from baggie.errors import DataError
+from baggie.geometry import apply_homography
+from baggie.policies import phase, planar_map
+from baggie.policies.planar_map import PlanarMap
+from baggie.policies.soft_argmax import gaussians, heat_maps, soft_argmax
+from baggie.policies.view import View
+from synthetic import BAG_HEIGHT_M, to_pixels
+
+numbers = st.floats(-0.25, 0.25)
+
+
+@given(st.floats(12, 28), st.floats(10, 18), st.floats(0.7, 2.0))
+def test_soft_argmax_recovers_a_gaussians_centre(u, v, sigma):
+    centre = torch.tensor([[[u, v]]])
+    for heat in (
+        gaussians(centre, sigma, 28, 40),
+        heat_maps(gaussians(centre, sigma, 28, 40).clamp_min(1e-30).log()),
+    ):
+        assert heat.sum().item() == pytest.approx(1, abs=1e-4)
+        assert soft_argmax(heat)[0, 0].tolist() == pytest.approx([u, v], abs=0.01)
+
+
+def drawn_pairs(count: int, noise_m: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a tilted, distorted camera, normalised, and where they are on a plane, noisy."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform([0.35, -0.25], [0.65, 0.25], (count, 2))
+    pixels = to_pixels(np.c_[xy, np.full(count, BAG_HEIGHT_M / 2)], (640, 360))
+    view = View((640, 360), 0, 0, 640, 360, (160, 88))
+    return apply_homography(view.normalize(), pixels), xy + rng.normal(0, noise_m / math.sqrt(2), (count, 2))
+
+
+def test_fit_sees_through_label_noise():
+    points, noisy = drawn_pairs(200, 0.005)
+    noisy[:5] += 0.1  # five bags that were dropped on the way
+    to_robot = PlanarMap()
+    to_robot.fit(points, noisy)
+    fresh, xy = drawn_pairs(200, 0.0, seed=1)
+    with torch.no_grad():
+        error_m = (to_robot(torch.from_numpy(fresh).float()).numpy() - xy) ** 2
+    assert np.sqrt(error_m.sum(axis=1)).mean() < 0.0015  # of 5 mm of noise
+
+
+def test_fit_without_noise_is_exact_to_a_tenth_of_a_millimetre():
+    points, xy = drawn_pairs(100, 0.0)
+    assert np.linalg.norm(PlanarMap().fit(points, xy, noise_m=1e-5), axis=1).max() < 1e-4
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_too_few_points_for_a_map(count):
+    with pytest.raises(DataError, match="at least 4"):
+        PlanarMap().fit(np.zeros((count, 2)), np.zeros((count, 2)))
+
+
+def bent_map(seed: int) -> PlanarMap:
+    torch.manual_seed(seed)
+    to_robot = PlanarMap().double()
+    with torch.no_grad():
+        for parameter, spread in (
+            (to_robot.homography, 0.1),
+            (to_robot.distortion, 0.1),
+            (to_robot.center, 0.1),
+        ):
+            parameter.add_(spread * torch.randn_like(parameter).clamp(-2, 2))
+    return to_robot
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000), numbers, numbers)
+def test_map_and_its_inverse_undo_each_other(seed, u, v):
+    to_robot, point = bent_map(seed), torch.tensor([[u, v]], dtype=torch.float64)
+    with torch.no_grad():
+        assert torch.allclose(to_robot.inverse(to_robot(point)), point, atol=1e-6)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000), numbers, numbers)
+def test_jacobians_agree_with_automatic_differentiation(seed, u, v):
+    to_robot, point = bent_map(seed), torch.tensor([u, v], dtype=torch.float64)
+    exact = torch.autograd.functional.jacobian(to_robot, point)
+    assert torch.allclose(to_robot.jacobian(point), exact, atol=1e-9)
+    matrix = to_robot.matrix().detach()
+    exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply(matrix, p), point)
+    assert torch.allclose(planar_map.jacobian(matrix, point), exact, atol=1e-9)
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-math.pi / 4, math.pi / 4 - 1e-3),
+    st.floats(-math.pi, math.pi),
+    st.floats(0.6, 1.6),
+    st.booleans(),
+)
+def test_yaw_survives_any_view(yaw, turn, stretch, mirrored):
+    c, s = math.cos(turn), math.sin(turn)
+    rotation = np.array([[c, -s], [s, c]]) @ np.diag([stretch, -1.0 if mirrored else 1.0])
+    jacobian = torch.from_numpy(0.004 * rotation)
+    angle = torch.tensor(yaw, dtype=torch.float64)
+    there = phase.phase_of(angle, jacobian)
+    assert there.norm().item() == pytest.approx(1)
+    back = phase.yaw_of(there, jacobian).item()
+    assert math.remainder(back - yaw, math.pi / 2) == pytest.approx(0, abs=1e-3)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))
+def test_phase_has_no_seam_and_follows_rotation(yaw, turn):
+    c, s = math.cos(turn), math.sin(turn)
+    identity, turned = torch.eye(2, dtype=torch.float64), torch.tensor([[c, -s], [s, c]], dtype=torch.float64)
+    angle = torch.tensor(yaw, dtype=torch.float64)
+    assert torch.allclose(
+        phase.phase_of(angle, identity), phase.phase_of(angle + math.pi / 2, identity), atol=1e-6
+    )
+    # A view turned by some angle shows a yaw as the plain view shows that yaw less the angle.
+    assert torch.allclose(phase.phase_of(angle, turned), phase.phase_of(angle - turn, identity), atol=1e-6)
+
+
+def test_view_coordinates_agree_with_its_pictures():
+    view = View.around(np.array([[100.0, 80.0], [420.0, 300.0]]), (640, 360))
+    picture = np.zeros((360, 640, 3), np.uint8)
+    picture[196:204, 246:254] = 255  # centred at (249.5, 199.5)
+    cut = view.cut(picture)[..., 0].astype(float)
+    v, u = np.mgrid[: cut.shape[0], : cut.shape[1]]
+    centre = np.array([[(cut * u).sum(), (cut * v).sum()]]) / cut.sum()
+    assert view.to_input(np.array([[249.5, 199.5]])) == pytest.approx(centre, abs=0.05)
+    assert apply_homography(view.from_input(), centre) == pytest.approx(np.array([[249.5, 199.5]]), abs=0.1)
+    assert apply_homography(view.normalize(), [[-0.5, 179.5], [639.5, 179.5]]) == pytest.approx(
+        np.array([[-1.0, 0.0], [1.0, 0.0]])
+    )
+    assert view.contains(np.array([[100.0, 80.0]]))
+    assert not view.contains(np.array([[10.0, 80.0]]))

@@ -1,0 +1,146 @@
+"""The report shows everything that was measured and loads nothing from anywhere."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+import yaml
+
+import test_evaluation_closed_loop as closed_loop
+import test_evaluation_validate as held_out
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation import validate as validation
+from baggie.evaluation.closed_loop import evaluate
+from baggie.evaluation.report import ReportOptions, report
+from baggie.evaluation.results import provenance, write_json, write_results
+from baggie.evaluation.validate import ValidateOptions, validate
+from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
+from test_evaluation_validate import recording  # noqa: F401 -- a fixture
+
+SECTIONS = ("video", "numbers", "closed-loop", "validation", "heat", "learning", "origin")
+VOID = {"meta", "img", "link", "br"}
+
+
+class Page(HTMLParser):
+    """Ids, sources and text of a page; fails on tags that are closed in another order than opened."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.sources, self.words, self.open = [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        self.ids += [values["id"]] if "id" in values else []
+        self.sources += [values[key] for key in ("src", "href") if key in values]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture
+def runs(tmp_path, recording, monkeypatch, in_process):  # noqa: F811 -- fixtures
+    """A trained policy, validated and evaluated, and a baseline, evaluated."""
+    from torch.utils.tensorboard import SummaryWriter
+
+    run = tmp_path / "runs/keypoint"
+    run.mkdir(parents=True)
+    config = {"policy": "keypoint", "training": {"data": "x", "split": {"train": [0], "val": [4, 5, 6]}}}
+    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    write_json(run / "metrics.json", {"train_s": 187.0, "provenance": provenance([0])})
+    with SummaryWriter(str(run)) as board:
+        for step in range(10):
+            board.add_scalar("train/loss", 1 / (1 + step), step)
+    monkeypatch.setattr(validation, "open_policy", lambda *_: held_out.FakePolicy(recording))
+    monkeypatch.setattr(held_out.FakePolicy, "name", "keypoint")
+    validate(ValidateOptions(str(run), recording, run / "validation"))
+    evaluate(closed_loop.options(run / "evaluation", policy=str(run)), closed_loop.open_perfect)
+    off = closed_loop.options(tmp_path / "runs/baseline", policy="oracle", film=0)
+    evaluate(off, closed_loop.open_off_by_25_mm)
+    return tmp_path / "runs"
+
+
+def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
+    path = report(ReportOptions((runs,), tmp_path / "report.html", title="Bags & <goals>"))
+    text = path.read_text()
+    assert "http" not in text
+    page = Page(text)
+    assert [section for section in SECTIONS if section not in page.ids] == []
+    for source in page.sources:
+        assert source.startswith(("data:image/jpeg;base64,", "data:video/mp4;base64,", "#"))
+    inside = [source for source in page.sources if source.startswith("#") and source[1:] in SECTIONS]
+    assert inside == [f"#{section}" for section in SECTIONS]
+    videos = [source for source in page.sources if source.startswith("data:video")]
+    assert base64.b64decode(videos[0].split(",")[1]) == next(runs.rglob("*.mp4")).read_bytes()
+    words = " ".join(page.words)
+    assert "Bags & <goals>" in words
+    assert "5 of 5 bags to within 2 cm" in words  # the policy's
+    assert "0 of 5 (0 to 43%)" in words  # the baseline's
+    assert "0.50 cm" in words  # the pick error of the fake policy
+    assert "off-goal" in words
+    assert len(re.findall(r"<svg", text)) == 2 + 4 + 1
+    assert not re.findall(r"#0[0-9a-f]{5}\b", text)  # every colour of a chart is the page's
+
+
+def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):
+    page = Page(report(ReportOptions((runs / "baseline",), tmp_path / "report.html")).read_text())
+    assert "closed-loop" in page.ids
+    assert not {"validation", "learning", "video"} & set(page.ids)
+
+
+def test_two_runs_of_one_policy_are_told_apart(tmp_path, runs):
+    (runs / "keypoint").rename(runs / "first")
+    evaluation = runs / "second/evaluation"
+    policy = runs / "first"
+    evaluate(closed_loop.options(evaluation, policy=str(policy), film=0), closed_loop.open_perfect)
+    words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
+    assert "keypoint (first)" in words
+    assert "keypoint (keypoint)" in words  # evaluated under its name of then
+
+
+def test_nothing_to_report_and_broken_results_are_told(tmp_path, runs):
+    with pytest.raises(BaggieError, match="expected a folder of results"):
+        report(ReportOptions((tmp_path / "none",), tmp_path / "r.html"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BaggieError, match="found nothing to report"):
+        report(ReportOptions((tmp_path / "empty",), tmp_path / "r.html"))
+    (runs / "keypoint/validation/metrics.json").write_text('{"policy": "key')
+    with pytest.raises(DataError, match=r"cannot read the results in .*validation"):
+        report(ReportOptions((runs,), tmp_path / "r.html"))
+
+
+def test_results_carry_where_they_come_from(tmp_path):
+    rows = [{"policy": "a|b", "error_cm": 0.123456789}, {"policy": "c", "error_cm": 7.8, "n": 50}]
+    json_path, markdown_path = write_results(
+        tmp_path / "sub/errors", "Errors", rows, provenance([3, 4]), "A note."
+    )
+    content = json.loads(json_path.read_text())
+    assert content["rows"] == rows
+    origin = content["provenance"]
+    assert origin["seeds"] == [3, 4]
+    assert set(origin) == {"command", "seeds", "commit", "machine", "date", "python", "packages"}
+    assert origin["machine"]["cores"] >= 1
+    assert origin["packages"]["numpy"]
+    lines = markdown_path.read_text().splitlines()
+    assert lines[0] == "# Errors"
+    assert lines[2:6] == [
+        "| policy | error_cm | n |",
+        "| --- | --- | --- |",
+        "| a\\|b | 0.1235 |  |",
+        "| c | 7.8 | 50 |",
+    ]
+    assert f"- date: {origin['date']}" in lines
+    assert sum(line.startswith("- ") for line in lines) == 6

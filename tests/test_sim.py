@@ -1,0 +1,229 @@
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+
+from baggie.errors import BaggieError, LimitError, ReachError
+from baggie.geometry import PlanarPose, wrap_angle
+from baggie.sim.bag import BagParameters, pillow
+from baggie.sim.cell import draw_cell
+from baggie.sim.kinematics import Kinematics, quintic
+from baggie.sim.scene import HOME, arm_spec
+from baggie.sim.sensor import Exposure, Sensor
+from baggie.types import PickPlace
+from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
+from workcell_contract import check_arm, check_camera
+
+
+@pytest.fixture(scope="module")
+def cell() -> Iterator[SimulatedWorkcell]:
+    cell = open_simulated(0)
+    yield cell
+    cell.close()
+
+
+def test_the_simulated_arm_keeps_the_contract(cell: SimulatedWorkcell) -> None:
+    cell.reset((1,))
+    check_arm(cell)
+
+
+def test_the_simulated_camera_keeps_the_contract(cell: SimulatedWorkcell) -> None:
+    cell.reset((2,))
+    check_camera(cell)
+
+
+def test_a_bag_is_picked_carried_and_put_down(cell: SimulatedWorkcell) -> None:
+    cell.reset((3,))
+    start = cell.truth()
+    goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15, 0.0)
+    pick = PlanarPose(start.x, start.y, wrap_angle(start.yaw, np.pi / 2))
+    outcome = cell.execute(PickPlace(pick, goal))
+    assert outcome.success
+    assert outcome.executed.pick.distance(pick) < 0.002
+    assert cell.truth().distance(goal) < 0.03
+    assert cell.world.bag_points[:, 2].max() < 0.06  # it lies flat again
+
+
+def test_a_grasp_beside_the_bag_is_noticed(cell: SimulatedWorkcell) -> None:
+    cell.reset((4,))
+    start = cell.truth()
+    beside = PlanarPose(0.5, start.y - 0.2 if start.y > 0 else start.y + 0.2)
+    outcome = cell.execute(PickPlace(beside, PlanarPose(0.5, 0.0)))
+    assert outcome.failure == "missed-grasp"
+    assert cell.truth().distance(start) < 0.005
+
+
+def test_the_same_seed_gives_the_same_pictures_and_motion(cell: SimulatedWorkcell) -> None:
+    def scene(seed: int) -> tuple[np.ndarray, np.ndarray, PlanarPose]:
+        cell.reset((5, seed))
+        observation = cell.look()
+        assert observation.depth is not None
+        return observation.color, observation.depth, cell.truth()
+
+    first, again, other = scene(0), scene(0), scene(1)
+    assert first[2] == again[2] != other[2]
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert not np.array_equal(first[0], other[0])
+
+
+def test_the_true_outline_is_where_the_bag_is_seen(cell: SimulatedWorkcell) -> None:
+    cell.reset((6,))
+    color = cell.look().color.astype(int)
+    red = color[..., 0] - color[..., 1:].max(axis=2) > 30
+    v, u = np.nonzero(red)
+    middle = cell.goal_corners(cell.truth()).mean(axis=0)
+    np.testing.assert_allclose([u.mean(), v.mean()], middle, atol=4.0)
+
+
+def test_depth_is_the_distance_to_the_table(cell: SimulatedWorkcell) -> None:
+    cell.reset((7,))
+    depth = cell.look().depth
+    spot = np.array([0.5, -0.3 if cell.truth().y > 0 else 0.3, 0.0])
+    u, v = cell.world.cell.project(spot[None])[0].round().astype(int)
+    along_axis = (cell.world.cell.T_camera_base @ [*spot, 1.0])[2]
+    assert depth is not None
+    assert np.median(depth[v - 3 : v + 4, u - 3 : u + 4]) == pytest.approx(along_axis, abs=0.003)
+
+
+def test_an_unreachable_or_forbidden_place_is_refused_before_anything_moves(cell: SimulatedWorkcell) -> None:
+    cell.reset((8,))
+    before = cell.arm.pose()
+    with pytest.raises(LimitError, match="place position"):
+        cell.execute(PickPlace(PlanarPose(0.5, 0.0), PlanarPose(1.5, 0.0)))
+    assert cell.arm.pose() == before
+
+
+def test_a_lost_bag_is_laid_back(cell: SimulatedWorkcell) -> None:
+    cell.reset((9,))
+    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3)
+    assert cell.rescue()
+    pose = cell.truth()
+    assert cell.settings.workspace.contains(pose.x, pose.y)
+
+
+def test_the_bag_sags_when_held(cell: SimulatedWorkcell) -> None:
+    cell.reset((10,))
+    start = cell.truth()
+    from baggie.workcell.primitives import pick
+
+    assert pick(cell.arm, start, cell.settings.handling).held
+    heights = cell.world.bag_points[:, 2]
+    assert heights.min() > 0.05  # lifted clear of the table
+    assert np.ptp(heights) > 0.05  # and no plate
+
+
+def test_cells_differ_and_stay_the_same() -> None:
+    one, again, other = draw_cell(1), draw_cell(1), draw_cell(2)
+    np.testing.assert_array_equal(one.camera_position, again.camera_position)
+    assert not np.allclose(one.camera_position, other.camera_position)
+    np.testing.assert_allclose(one.camera_rotation @ one.camera_rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(one.camera_rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_every_cell_sees_the_whole_workspace(number: int) -> None:
+    from baggie.workcell.workcell import WorkcellSettings
+
+    area = WorkcellSettings().workspace
+    corners = np.array([[x, y, 0.0] for x in (area.x_min, area.x_max) for y in (area.y_min, area.y_max)])
+    pixels = draw_cell(number).project(corners)
+    assert (pixels > 60).all()
+    assert (pixels < np.array([1280, 720]) - 60).all()
+
+
+def test_the_lens_puts_a_point_where_it_projects_it() -> None:
+    lens = draw_cell(0).lens
+    width, height = lens.size
+    focal = height / 2 / np.tan(lens.render_fovy / 2)
+    for ray in ([0.0, 0.0], [0.4, -0.3], [-0.8, 0.45]):
+        ideal = np.zeros((height, width, 3), np.uint8)
+        at = np.array(ray) * focal + [(width - 1) / 2, (height - 1) / 2]
+        cv2.circle(ideal, np.round(at * 16).astype(int).tolist(), 6 * 16, (255, 255, 255), -1, cv2.LINE_AA, 4)
+        v, u = np.nonzero(lens.distort(ideal)[..., 0] > 127)
+        seen = lens.project(np.array([[*ray, 1.0]]))[0]
+        np.testing.assert_allclose([u.mean(), v.mean()], seen, atol=0.7)
+
+
+def test_the_sensor_is_unbiased_and_noisier_where_it_is_bright() -> None:
+    sensor = Sensor((320, 240), vignette=0.0)
+    rng = np.random.default_rng(0)
+    spreads = []
+    for level in (40, 200):
+        recorded = sensor.expose(np.full((240, 320, 3), level, np.uint8), Exposure(), rng)
+        assert recorded.mean() == pytest.approx(level, abs=0.6)
+        spreads.append(recorded.std())
+    assert spreads[1] > spreads[0] > 1.0
+
+
+def test_a_pillow_is_closed_and_has_the_volume_of_its_parameters() -> None:
+    bag = BagParameters(length_m=0.1, width_m=0.14, fill=1.2)
+    points, tetrahedra = pillow(bag)
+    edges = points[tetrahedra[:, 1:]] - points[tetrahedra[:, :1]]
+    volumes = np.linalg.det(edges) / 6
+    assert (volumes > 0).all()
+    assert set(tetrahedra.ravel()) == set(range(len(points)))  # no point hangs in the air
+    np.testing.assert_allclose(np.ptp(points, axis=0), [0.1, 0.14, bag.thickness_m])
+    assert 0.4 < volumes.sum() / (0.1 * 0.14 * bag.thickness_m) < 0.9
+
+
+def test_random_bags_are_reproducible_and_vary() -> None:
+    one, again = (BagParameters.random(np.random.default_rng(3)) for _ in range(2))
+    assert one == again != BagParameters.random(np.random.default_rng(4))
+
+
+def test_inverse_kinematics_inverts_forward_kinematics() -> None:
+    kinematics = Kinematics(arm_spec().compile(), HOME)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        target = PlanarPose(*rng.uniform([0.35, -0.3, -0.7], [0.65, 0.3, 0.7])).at_height(
+            rng.uniform(0.02, 0.3)
+        )
+        path = kinematics.line(HOME, target)
+        reached = kinematics.tool_pose(path[-1])
+        np.testing.assert_allclose(reached.xyz, target.xyz, atol=5e-4)
+        assert reached.yaw == pytest.approx(target.yaw, abs=2e-3)
+        start = kinematics.tool_pose(HOME).xyz
+        direction = (target.xyz - start) / np.linalg.norm(target.xyz - start)
+        for q in path:  # the tool stays on the straight line
+            along = kinematics.tool_pose(q).xyz - start
+            assert np.linalg.norm(along - (along @ direction) * direction) < 0.003
+
+
+def test_what_is_out_of_reach_is_said_so() -> None:
+    kinematics = Kinematics(arm_spec().compile(), HOME)
+    with pytest.raises(ReachError, match="choose a place nearer"):
+        kinematics.line(HOME, PlanarPose(1.2, 0.3).at_height(0.1))
+
+
+def test_minimum_jerk_starts_and_ends_at_rest() -> None:
+    t = np.linspace(0, 1, 2001)
+    s = quintic(t)
+    velocity = np.gradient(s, t)
+    assert (s[0], s[-1]) == (0.0, 1.0)
+    assert (np.diff(s) >= 0).all()
+    assert abs(velocity[0]) < 1e-3
+    assert velocity.max() == pytest.approx(1.875, abs=1e-3)
+
+
+def test_without_an_opengl_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    from baggie.sim import gl
+
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    with pytest.raises(BaggieError, match="apt-get install libegl1"):
+        gl.require_backend()
+
+
+def test_the_environment_passes_gymnasiums_own_check() -> None:
+    script = (
+        "import gymnasium, warnings; warnings.simplefilter('ignore');"
+        "from gymnasium.utils.env_checker import check_env;"
+        "env = gymnasium.make('baggie/BagPlace-v0');"
+        "check_env(env.unwrapped, skip_render_check=True)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,168 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baggie.errors import BaggieError, LimitError
+from baggie.geometry import PlanarPose, ToolPose
+from baggie.workcell.arm import ArmInfo
+from baggie.workcell.config import read_workcell_file
+from baggie.workcell.limits import GuardedArm
+from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.workcell import WorkcellSettings
+
+SETTINGS = WorkcellSettings()
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+class RecordingArm:
+    """Obeys whatever it is told and remembers it; holds something `width` wide."""
+
+    info = ArmInfo("recorder", max_width_m=0.08, max_speed_m_s=2.0, max_force_n=70.0)
+
+    def __init__(self, width: float = 0.01, floor_z: float = -math.inf) -> None:
+        self.at = ToolPose(0.4, 0.0, 0.4)
+        self.width, self._held, self._floor = 0.08, width, floor_z
+        self.poses: list[ToolPose] = []
+        self.log: list[str] = []
+
+    def pose(self) -> ToolPose:
+        return self.at
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        self.at = target
+        self.poses.append(target)
+        self.log.append(f"move {target.z:.3f}")
+        return target
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        self.log.append("lower")
+        self.at = replace(self.at, z=max(z_min, self._floor))
+        self.poses.append(self.at)
+        return self.at
+
+    def move_gripper(self, width_m: float) -> float:
+        self.log.append(f"gripper {width_m:.3f}")
+        self.width = width_m
+        return width_m
+
+    def grasp(self, force_n: float) -> float:
+        self.log.append("grasp")
+        self.width = self._held
+        return self.width
+
+    def gripper_width(self) -> float:
+        return self.width
+
+    def park(self) -> ToolPose:
+        return self.at
+
+    def stop(self) -> None:
+        self.log.append("stop")
+
+
+def guarded() -> tuple[GuardedArm, RecordingArm]:
+    arm = RecordingArm()
+    return GuardedArm(arm, SETTINGS.limits), arm
+
+
+@given(st.lists(st.tuples(anything, anything, anything, anything, anything), max_size=10))
+def test_no_motion_however_wild_gets_past_the_gate(motions: list[tuple[float, ...]]) -> None:
+    gate, arm = guarded()
+    limits = SETTINGS.limits
+    for x, y, z, yaw, speed in motions:
+        try:
+            gate.move_to(ToolPose(x, y, z, yaw), speed)
+        except LimitError:
+            continue
+    for pose in arm.poses:
+        assert limits.z_min_m - 1e-6 <= pose.z <= limits.z_max_m
+        area = limits.workspace if pose.z < limits.clearance_z_m else limits.reach
+        assert area.contains(pose.x, pose.y)
+        assert math.isfinite(pose.yaw)
+
+
+@given(anything, anything, anything)
+def test_the_gate_refuses_wild_lowering_squeezing_and_opening(a: float, b: float, c: float) -> None:
+    gate, arm = guarded()
+    for call in (
+        lambda: gate.lower_until_contact(a, b, c),
+        lambda: gate.grasp(a),
+        lambda: gate.move_gripper(b),
+    ):
+        try:
+            call()
+        except LimitError:
+            continue
+    assert all(pose.z >= SETTINGS.limits.z_min_m - 1e-6 for pose in arm.poses)
+    assert 0.0 <= arm.width <= 0.08
+
+
+def test_a_limit_error_says_what_came_and_what_is_allowed() -> None:
+    gate, _ = guarded()
+    with pytest.raises(
+        LimitError, match=r"x 0\.900, y 0\.000 m is outside the workspace \(x 0\.28\.\.0\.70 m"
+    ):
+        gate.check(PlanarPose(0.9, 0.0), "place")
+
+
+def test_pick_closes_where_it_was_sent_and_reports_what_it_holds() -> None:
+    target, handling = PlanarPose(0.5, 0.1, 0.4), Handling()
+    arm = RecordingArm(width=0.012)
+    grasp = pick(arm, target, handling)
+    assert grasp.pose == target.at_height(handling.pick_z_m)
+    assert grasp.held
+    assert grasp.width_m == pytest.approx(0.012)
+    assert arm.log.index("lower") < arm.log.index("grasp")
+    assert arm.at.z == handling.travel_z_m
+
+
+def test_pick_stops_at_what_it_touches() -> None:
+    arm = RecordingArm(floor_z=0.09)
+    assert pick(arm, PlanarPose(0.5, 0.0), Handling()).pose.z == pytest.approx(0.09)
+
+
+def test_an_empty_grasp_is_noticed() -> None:
+    assert not pick(RecordingArm(width=0.0), PlanarPose(0.5, 0.0), Handling()).held
+
+
+def test_place_lets_go_where_it_was_sent_and_rises_straight_up() -> None:
+    target, handling = PlanarPose(0.45, -0.2, 0.0), Handling()
+    arm = RecordingArm()
+    pick(arm, PlanarPose(0.5, 0.1), handling)
+    release = place(arm, target, handling)
+    assert release.pose.planar == target
+    assert release.held
+    np.testing.assert_allclose(arm.at.xyz[:2], target.xy)
+    assert arm.at.z > release.pose.z
+
+
+def test_a_workcell_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("cell: 3\nworkspace:\n  x: [0.4, 0.6]\nbag:\n  mass_kg: 0.15\n")
+    written = read_workcell_file(path)
+    assert (written.cell, written.workspace.x, written.bag.mass_kg) == (3, (0.4, 0.6), 0.15)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("bag:\n  mass_kg: -1\n", r"bag\.mass_kg: .*greater than 0\.02, got -1"),
+        ("camera: usb\n", r"camera: Extra inputs are not permitted"),
+        ("cell: [", "is no YAML"),
+    ],
+)
+def test_a_wrong_workcell_file_names_the_entry(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(text)
+    with pytest.raises(BaggieError, match=message):
+        read_workcell_file(path)
+
+
+def test_a_missing_workcell_file_says_what_to_give() -> None:
+    with pytest.raises(BaggieError, match=r"no workcell file nowhere\.yaml"):
+        read_workcell_file(Path("nowhere.yaml"))
