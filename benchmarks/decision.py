@@ -30,8 +30,11 @@ SIZE = (1280, 720)
 
 def main() -> None:
     recorded = [make_attempt(i, np.random.default_rng(i), (640, 360), depth=False) for i in range(20)]
+    keypoint = KeypointRecipe(recorded).policy
+    with torch.no_grad():
+        keypoint.network.heat.weight.mul_(300)  # untrained, but as sure as a trained one, or it refuses
     policies: list[Policy] = [
-        KeypointRecipe(recorded).policy,
+        keypoint,
         RegressionPolicy(RegressionNet(), (640, 360), 0, "solid", (0, 200, 0)),
         color_mask(),
     ]
