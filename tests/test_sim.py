@@ -220,7 +220,7 @@ def test_without_an_opengl_library_one_line_says_what_to_install(monkeypatch: py
 
 def test_the_environment_passes_gymnasiums_own_check() -> None:
     script = (
-        "import gymnasium, warnings; warnings.simplefilter('ignore');"
+        "import baggie, gymnasium, warnings; warnings.simplefilter('ignore');"
         "from gymnasium.utils.env_checker import check_env;"
         "env = gymnasium.make('baggie/BagPlace-v0');"
         "check_env(env.unwrapped, skip_render_check=True)"

@@ -10,12 +10,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import gymnasium
+
 if TYPE_CHECKING:
     from baggie.data import Dataset
     from baggie.policies import Policy
     from baggie.workcell.workcell import Workcell
 
 __all__ = ["load_policy", "open_dataset", "open_workcell"]
+
+gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
 
 # PyTorch, MuJoCo and pyarrow take seconds to import: each is loaded when it is first needed.
 

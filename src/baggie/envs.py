@@ -24,11 +24,6 @@ MIN_CARRY_M = 0.20
 ObservationDict = dict[str, Any]
 
 
-def register() -> None:
-    """Make the environments known to `gymnasium.make`; gymnasium calls this by itself once Baggie is installed."""
-    gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
-
-
 class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     """Move the bag onto the goal.
 

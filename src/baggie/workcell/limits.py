@@ -22,7 +22,7 @@ class Limits:
     """The lowest the tool may go: 12 mm keep a Franka hand's fingertips off the table."""
     z_max_m: float = 0.70
     clearance_z_m: float = 0.12
-    max_speed_m_s: float = 1.0
+    max_speed_m_s: float = 1.2
     max_contact_force_n: float = 40.0
     """The most that lowering may press before it stops."""
     max_grasp_force_n: float = 30.0

@@ -33,9 +33,9 @@ class Handling:
     """How far the fingers open to let go, before they rise: further, they would drag the cloth along."""
     empty_width_m: float = 0.002
     """Fingers that close further than this hold nothing."""
-    fast_m_s: float = 1.0
-    feel_m_s: float = 0.3
-    carry_m_s: float = 0.5
+    fast_m_s: float = 1.2
+    feel_m_s: float = 0.35
+    carry_m_s: float = 0.55
 
 
 @dataclass(frozen=True)

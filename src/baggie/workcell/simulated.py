@@ -24,9 +24,9 @@ from baggie.workcell.workcell import Workcell, WorkcellSettings
 # FR3 joint velocity limits, rad/s (Franka's data sheet), of which motions use at most 80%.
 JOINT_SPEED_LIMITS = 0.8 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
 SETTLED_RAD_S = 0.02
-SETTLE_TIMEOUT_S = 0.3
+SETTLE_TIMEOUT_S = 0.12
 FINGER_SPEED_M_S = 0.05  # each; Franka's data sheet
-SQUEEZE_S = 0.5
+SQUEEZE_S = 0.4
 FINGER_SETTLE_S = 0.1
 CLEAR_Z_M = 0.1  # above what lies on the table
 PARK = np.array([0.0, -1.1, 0.0, -2.75, 0.0, 1.75, 0.7853])
