@@ -24,16 +24,19 @@ lint: $(STAMP) ## format, lint, types
 	$(BIN)/mypy
 
 bench: $(STAMP) gl ## tables of speed and memory
-	for benchmark in benchmarks/[a-z]*.py; do echo "== $$benchmark"; $(BIN)/python $$benchmark; done
+	for name in simulation data_read train_step decision; do \
+	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit; done
 
 results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: hours on two cores
-	$(BIN)/python benchmarks/results/measure.py
+	$(BIN)/python benchmarks/collection.py --out runs/recording
+	$(BIN)/python benchmarks/policies.py --data runs/recording --runs runs
+	$(BIN)/python benchmarks/media.py --policy runs/keypoint
 
 lerobot: $(STAMP) gl ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot
-	.venv-lerobot/bin/python -m pip install --quiet "lerobot[dataset,training,viz]==0.6.1"
-	$(BIN)/baggie collect --attempts 12 --out build/lerobot/recording
-	.venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot/recording
+	.venv-lerobot/bin/python -m pip install --quiet "lerobot[training,dataset-viz]==0.6.1"
+	rm -rf build/lerobot
+	PYTHONPATH=src .venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot
 
 clean: ## remove what was built, and the environment
 	rm -rf $(VENV) .venv-lerobot build demo .pytest_cache .ruff_cache .mypy_cache .hypothesis src/*.egg-info

@@ -1,19 +1,22 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.errors import BaggieError, LimitError
+from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.types import PickPlace
 from baggie.workcell.arm import ArmInfo
+from baggie.workcell.camera import Camera
 from baggie.workcell.config import read_workcell_file
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Workcell, WorkcellSettings
 
 SETTINGS = WorkcellSettings()
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -139,6 +142,28 @@ def test_place_lets_go_where_it_was_sent_and_rises_straight_up() -> None:
     assert release.held
     np.testing.assert_allclose(arm.at.xyz[:2], target.xy)
     assert arm.at.z > release.pose.z
+
+
+def test_what_cannot_be_placed_is_put_back() -> None:
+    start, beyond = PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.2)
+
+    class ShortArm(RecordingArm):
+        def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+            if target.planar == beyond:
+                raise ReachError("too far")
+            return super().move_to(target, speed_m_s)
+
+    class Cell(Workcell):
+        def clock(self) -> float:
+            return 0.0
+
+    arm = ShortArm()
+    cell = Cell(arm, cast(Camera, None), SETTINGS)
+    with pytest.raises(ReachError):
+        cell.execute(PickPlace(start, beyond))
+    let_go = arm.log.index(f"gripper {SETTINGS.handling.release_width_m:.3f}")
+    assert "grasp" in arm.log[:let_go]
+    assert arm.at.planar == start
 
 
 def test_a_workcell_file_is_read(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ class CollectorCell(Protocol):
         ...
 
     def execute(self, action: PickPlace) -> Outcome:
-        """Pick, verify, carry, place. Raises `LimitError` or `ReachError`; then nothing was moved."""
+        """Pick, verify, carry, place. Raises `LimitError` or `ReachError`; then the object is where it was."""
         ...
 
     def reset(self, seed: Sequence[int]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from baggie.errors import ReachError
 from baggie.geometry import Rectangle
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.workcell.arm import Arm
@@ -62,8 +63,9 @@ class Workcell:
     def execute(self, action: PickPlace) -> Outcome:
         """Pick, verify, place.
 
-        Both poses are checked before anything moves: raises `LimitError` outside the workspace and `ReachError`
-        where the arm cannot go. A grasp that failed is no error; the outcome says so and the arm is above the pick.
+        Both poses are checked before anything moves: raises `LimitError` outside the workspace. Raises `ReachError`
+        where the arm turns out not to get there; what was picked up by then is put back. A grasp that failed is no
+        error; the outcome says so and the arm is above the pick.
         """
         self.arm.check(action.pick, "pick")
         self.arm.check(action.place, "place")
@@ -80,7 +82,11 @@ class Workcell:
                 pick_z_m=grasp.pose.z,
                 timings_s={"pick": picked - start},
             )
-        release = place(self.arm, action.place, handling)
+        try:
+            release = place(self.arm, action.place, handling)
+        except ReachError:
+            place(self.arm, grasp.pose.planar, handling)
+            raise
         failure: Failure | None = None if release.held else "dropped"
         return Outcome(
             executed=PickPlace(grasp.pose.planar, release.pose.planar),
