@@ -33,7 +33,8 @@ class RegressionRecipe:
         weights: str | None,
     ) -> None:
         """`weights`: see `load_imagenet`; raises its errors."""
-        network = RegressionNet()
+        # In this layout of memory convolutions of one picture take half the time on a CPU; the numbers are the same.
+        network = RegressionNet().to(memory_format=torch.channels_last)
         if weights is not None:
             imagenet = load_imagenet(weights)
             network.pick.resnet.load_state_dict(imagenet)
@@ -43,8 +44,11 @@ class RegressionRecipe:
         self._attempts = attempts
 
     def optimizer(self) -> Optimizer:
-        """Adam over both networks: as it treats every number alone, the same as one for each."""
-        return Adam(self.policy.network.parameters(), lr=1e-4)
+        """Adam over both networks: as it treats every number alone, the same as one for each.
+
+        Fused, because over 24 million numbers it otherwise takes as long as the forward pass.
+        """
+        return Adam(self.policy.network.parameters(), lr=1e-4, fused=True)
 
     def rate(self, progress: float) -> float:
         """Always the same."""
