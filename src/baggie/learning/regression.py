@@ -34,7 +34,8 @@ class RegressionRecipe:
     ) -> None:
         """`weights`: see `load_imagenet`; raises its errors."""
         # In this layout of memory convolutions of one picture take half the time on a CPU; the numbers are the same.
-        network = RegressionNet().to(memory_format=torch.channels_last)
+        network = RegressionNet()
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] -- PyTorch's stubs forget it
         if weights is not None:
             imagenet = load_imagenet(weights)
             network.pick.resnet.load_state_dict(imagenet)
