@@ -35,7 +35,7 @@ class RegressionRecipe:
         """`weights`: see `load_imagenet`; raises its errors."""
         # In this layout of memory convolutions of one picture take half the time on a CPU; the numbers are the same.
         network = RegressionNet()
-        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] -- PyTorch's stubs forget it
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs forget it
         if weights is not None:
             imagenet = load_imagenet(weights)
             network.pick.resnet.load_state_dict(imagenet)
