@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 help: ## show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
-demo: $(STAMP) gl ## from nothing to a robot moving bags, and a report: about 8 minutes on two cores
+demo: $(STAMP) gl ## from nothing to a robot moving bags, and a report: minutes on two cores
 	$(BIN)/python examples/demo.py
 
 test: $(STAMP) gl ## the fast tests, under 5 minutes on two cores

@@ -26,7 +26,7 @@ class Demo:
     """Demonstrations to collect."""
     val: int = 25
     """How many of them to measure on; the policy learns from the others."""
-    steps: int = 800
+    steps: int = 600
     """Batches to learn from."""
     episodes: int = 20
     """Unseen scenes for each policy."""
@@ -45,7 +45,7 @@ def run(demo: Demo) -> int:
     data, keypoint, color_mask = demo.out / "recording", demo.out / "keypoint", demo.out / "color-mask"
     report = demo.out / "report.html"
     # A few attempts may fail, and only successful ones are learned from.
-    train = max(int(0.95 * demo.attempts) - demo.val, 1)
+    train = max(int(0.9 * demo.attempts) - demo.val, 1)
     closed_loop = f"--episodes {demo.episodes} --seed {demo.seed} --cell {demo.cell} --film 1 --radius-cm 3"
     steps = [
         f"collect --attempts {demo.attempts} --seed {demo.seed} --cell {demo.cell} --out {data}",

@@ -79,6 +79,20 @@ def test_the_true_outline_is_where_the_bag_is_seen(cell: SimulatedWorkcell) -> N
     np.testing.assert_allclose([u.mean(), v.mean()], middle, atol=4.0)
 
 
+def test_the_goal_card_is_seen_where_it_lies_until_it_is_taken_away(cell: SimulatedWorkcell) -> None:
+    def green_pixels() -> np.ndarray:
+        color = cell.look().color.astype(int)
+        return np.argwhere(color[..., 1] - color[..., [0, 2]].max(axis=2) > 30)[:, ::-1]
+
+    cell.reset((11,))
+    at = PlanarPose(0.5, -0.2 if cell.truth().y > 0 else 0.2, 0.3)
+    cell.lay_card(at)
+    expected = cell.world.cell.project(np.array([[at.x, at.y, 0.0]]))[0]
+    np.testing.assert_allclose(green_pixels().mean(axis=0), expected, atol=2.0)
+    cell.lay_card(None)
+    assert len(green_pixels()) < 20
+
+
 def test_depth_is_the_distance_to_the_table(cell: SimulatedWorkcell) -> None:
     cell.reset((7,))
     depth = cell.look().depth

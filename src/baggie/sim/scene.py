@@ -37,6 +37,8 @@ _WORLD = """
     <map znear="0.02" zfar="20"/>
   </visual>
   <asset>
+    <texture name="room" type="skybox" builtin="gradient" width="128" height="128"
+        rgb1="0.80 0.83 0.86" rgb2="0.55 0.58 0.62"/>
     <texture name="table" type="2d" builtin="flat" width="512" height="512" rgb1="1 1 1"/>
     <texture name="cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
     <material name="table" texture="table" specular="0.1" shininess="0.2"/>
@@ -51,8 +53,8 @@ _WORLD = """
     <body name="card" mocap="true" pos="0 0 -1">
       <geom name="card" type="box" size="{card} {card} 0.0004" rgba="0.10 0.55 0.20 1" contype="0" conaffinity="0"/>
     </body>
-    <camera name="film" pos="1.35 -0.75 0.75" mode="targetbody" target="look_here" fovy="42"/>
-    <body name="look_here" pos="0.42 0 0.12"/>
+    <camera name="film" pos="1.40 -0.80 0.75" mode="targetbody" target="look_here" fovy="46"/>
+    <body name="look_here" pos="0.40 0 0.20"/>
     {bag}
   </worldbody>
 </mujoco>

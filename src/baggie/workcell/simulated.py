@@ -185,7 +185,7 @@ class SimulatedWorkcell(Workcell):
         self._rng = np.random.default_rng(list(seed))
         self._simulated_camera.reseed(self._rng.spawn(1)[0])
         self.show_paddle(False)
-        self.world.put_card(None)
+        self.lay_card(None)
         self.world.reset(self._random_pose())
         self._simulated_arm.reset()
         self.arm.park()
@@ -209,6 +209,10 @@ class SimulatedWorkcell(Workcell):
     def show_paddle(self, shown: bool) -> None:
         """Put the calibration paddle into the hand, or take it away."""
         self.world.show_paddle(shown)
+
+    def lay_card(self, pose: PlanarPose | None) -> None:
+        """Lay the printed goal card, a thin green sheet of 13 cm, on the table, or take it away."""
+        self.world.put_card(pose)
 
     def rescue(self) -> bool:
         """What a person would do: lay the lost bag back on the table."""
