@@ -47,6 +47,17 @@ def test_what_cannot_be_done_is_one_line_and_status_1(
     assert "Traceback" not in captured.err
 
 
+def test_an_interruption_says_how_to_go_on_and_is_status_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(_options: object) -> None:
+        raise KeyboardInterrupt("go on with: baggie collect")
+
+    monkeypatch.setattr("baggie.cli.run_collect", stopped)
+    assert main(["collect", "--out", "anywhere"]) == 130
+    assert capsys.readouterr().err == "go on with: baggie collect\n"
+
+
 def test_json_is_one_object_on_stdout(tmp_path: Path) -> None:
     from baggie.data import DatasetWriter
 

@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
         print("error:", " ".join(str(error).split()), file=sys.stderr)
         return FAILED
     except KeyboardInterrupt as interruption:
-        print(interruption or "interrupted; the same command again goes on", file=sys.stderr)
+        print(str(interruption) or "interrupted; the same command again goes on", file=sys.stderr)
         return INTERRUPTED
     return DONE
 

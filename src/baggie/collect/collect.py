@@ -85,7 +85,7 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
 
     Raises `BaggieError` when the cell cannot be calibrated, nobody could help a stalled collector, the disk
     is full, or the folder holds another recording: what was recorded before stays, and the same command goes
-    on from there. Raises `KeyboardInterrupt` after saying on stderr how to go on.
+    on from there. Raises `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     console = Console(stderr=True)
@@ -101,12 +101,8 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
             image_to_robot = _calibrated(options, open_cell, console)
             rate = _record(options, open_cell, image_to_robot, writer, console)
         except KeyboardInterrupt:
-            console.print(
-                f"interrupted with {len(writer.attempt_ids)} of {options.attempts} attempts recorded; "
-                f"go on with: {options.command()}",
-                soft_wrap=True,
-            )
-            raise
+            recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
+            raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
     dataset = open_dataset(options.out)
     draw_coverage(dataset, image_to_robot.area, options.out / COVERAGE_FILE)
     summary = summarize(dataset, image_to_robot.area)
