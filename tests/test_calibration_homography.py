@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.calibration.collect_points import collect_points, grid
 from baggie.calibration.homography import HeightOffset, ImageToRobot, offset_to_height
 from baggie.collect.calibrate import calibrate
+from baggie.collect.points import collect_points, grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import apply_homography, wrap_angle
 from baggie.vision.color_mask import find_bag

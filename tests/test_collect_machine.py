@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie import seeds
-from baggie.calibration.collect_points import grid
 from baggie.calibration.homography import ImageToRobot
 from baggie.collect import machine
 from baggie.collect.machine import MAX_ASKS, MAX_LOOKS, MAX_TRIES, State, Stopped, Turn, run_turn
 from baggie.collect.places import MARGIN_M, MIN_DISTANCE_M, false_45, grip_yaw, nearest_grip, random_place
+from baggie.collect.points import grid
 from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.calibration.collect_points import grid
 from baggie.calibration.homography import ImageToRobot
+from baggie.collect.points import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy

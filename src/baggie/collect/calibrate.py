@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from baggie import seeds
-from baggie.calibration.collect_points import collect_points, grid
 from baggie.calibration.homography import ImageToRobot, offset_to_height
 from baggie.collect.cell import CollectorCell
 from baggie.collect.places import MARGIN_M
+from baggie.collect.points import collect_points, grid
 
 MARKER_HEIGHTS_M = (0.07, 0.20)
 """Above the table while it is looked at. The lower, just clear of a bag that lies there, is the map's; the

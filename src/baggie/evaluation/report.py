@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from baggie.evaluation.report_data import gather
 from baggie.evaluation.report_sections import content
-from baggie.evaluation.results import write_text
+from baggie.files import write_text
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypedDict
 
+from baggie.files import write_text
+
 PACKAGES = ("baggie", "mujoco", "torch", "numpy", "opencv-python-headless", "pyarrow", "franky-sim", "mink")
 """What a number may depend on."""
 
@@ -64,14 +66,6 @@ def write_results(
 def write_json(path: Path, content: object) -> None:
     """Write strict JSON (no NaN) whole or not at all."""
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all: under another name first, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text)
-    partial.replace(path)
 
 
 def _table(rows: Sequence[Mapping[str, object]]) -> str:
