@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, invert_transform
 from baggie.sim.lens import Lens
 
 PICTURE_SIZE = (1280, 720)
@@ -45,10 +45,10 @@ class Cell:
     @property
     def T_camera_base(self) -> FloatArray:
         """`(4, 4)`, maps base-frame points into the camera's frame."""
-        transform = np.eye(4)
-        transform[:3, :3] = self.camera_rotation.T
-        transform[:3, 3] = -self.camera_rotation.T @ self.camera_position
-        return transform
+        T_base_camera = np.eye(4)
+        T_base_camera[:3, :3] = self.camera_rotation
+        T_base_camera[:3, 3] = self.camera_position
+        return invert_transform(T_base_camera)
 
     def project(self, points: FloatArray) -> FloatArray:
         """Where points of the robot base frame appear: `(N, 3)` metres -> `(N, 2)` pixels (u, v)."""

@@ -13,9 +13,8 @@ from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import Cell
 from baggie.sim.scene import ARM, HOME, TIMESTEP_S, build_model
 
-_ARM = slice(0, 7)
-_FINGERS = slice(7, 9)
 SETTLE_S = 1.0
+MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
 COARSE_TIMESTEP_S = 0.008  # three times as fast, and good where nothing but the table touches the bag
 CLEARANCE_M = 0.03  # further than the hand moves in one control period
 FINGERTIP_M = 0.009  # how far the fingers reach beyond the tool point
@@ -25,8 +24,8 @@ class World:
     """One MuJoCo world. Time passes only inside `advance`, as fast as the processor allows."""
 
     def __init__(self, cell: Cell, bag: BagParameters | None = None) -> None:
-        # MuJoCo would print each of them and write a file into the current folder. Dropping a bag or squeezing it flat
-        # leaves the implicit solve a little short of its tolerance for some steps, which is harmless.
+        # MuJoCo would print every warning and write a file into the current folder. Dropping a bag or squeezing it
+        # flat leaves the implicit solve a little short of its tolerance for some steps, which is harmless.
         mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
         self.cell = cell
         self.bag = bag or BagParameters()
@@ -42,14 +41,9 @@ class World:
         self._finger_q = [int(self.model.joint(f"{ARM}finger_joint{k}").qposadr[0]) for k in (1, 2)]
         self._arm_ctrl = [self.model.actuator(f"{ARM}fr3_joint{k}").id for k in range(1, 8)]
         self._grip = self.model.actuator(f"{ARM}hand").id
-        self._lag = (
-            np.array(  # a position servo with damping lags by kv/kp seconds; fed forward in `set_joints`
-                [
-                    -self.model.actuator_biasprm[k, 2] / self.model.actuator_gainprm[k, 0]
-                    for k in self._arm_ctrl
-                ]
-            )
-        )
+        # A position servo with damping lags by kv / kp seconds; `set_joints` feeds that forward.
+        stiffness = self.model.actuator_gainprm[self._arm_ctrl, 0]
+        self._lag = -self.model.actuator_biasprm[self._arm_ctrl, 2] / stiffness
         self._wrist = self.model.sensor(f"{ARM}wrist").adr[0]
         self._wrist_site = self.model.site(f"{ARM}wrist").id
         self._tool_site = self.model.site(f"{ARM}tool").id
@@ -86,7 +80,7 @@ class World:
         self.data.qpos[self._finger_q] = 0.04
         self.set_joints(HOME, np.zeros(7))
         self.set_finger_opening(0.04)
-        self.set_grip_force(20.0)
+        self.set_grip_force(MOVE_FORCE_N)
         self.put_bag(bag_pose)
         self.advance(SETTLE_S)
 

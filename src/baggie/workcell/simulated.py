@@ -16,7 +16,7 @@ from baggie.sim.kinematics import CONTROL_PERIOD_S, QUINTIC_PEAK, Kinematics, qu
 from baggie.sim.renderer import CameraRenderer, Film
 from baggie.sim.scene import HOME, arm_spec
 from baggie.sim.sensor import Exposure
-from baggie.sim.world import World
+from baggie.sim.world import MOVE_FORCE_N, World
 from baggie.types import Image, Intrinsics, Observation
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.workcell import Workcell, WorkcellSettings
@@ -63,7 +63,7 @@ class SimulatedArm:
         """Fingers to a width at their usual speed."""
         if abs(width_m - self._world.finger_width) < 0.001:
             return self._world.finger_width
-        self._world.set_grip_force(20.0)
+        self._world.set_grip_force(MOVE_FORCE_N)
         current = self._world.finger_width / 2
         steps = max(round(abs(width_m / 2 - current) / FINGER_SPEED_M_S / CONTROL_PERIOD_S), 1)
         for opening in np.linspace(current, width_m / 2, steps + 1)[1:]:
