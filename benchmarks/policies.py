@@ -45,6 +45,8 @@ class Options:
     """Closed-loop episodes for each."""
     policies: tuple[str, ...] = ("keypoint", "color-mask", "regression")
     """Which."""
+    closed_loop: tuple[str, ...] = ("keypoint", "color-mask", "regression")
+    """Which of them to run in the closed loop."""
 
 
 def main(options: Options) -> int:
@@ -83,27 +85,37 @@ def steps(options: Options, policy: str) -> list[str]:
     name = str(run) if trained else policy
     train = f"train --policy {policy} --data {options.data} --out {run} --train 200 --val 50 --seed {options.seed}"
     calibration = "" if trained else f"--calibration {options.data}"
+    evaluate = (
+        f"evaluate --policy {name} {calibration} --episodes {options.episodes} --seed {options.seed} "
+        f"--cell {options.cell} --out {run}/evaluation"
+    )
     return [
         *([train] if trained else []),
         f"validate --policy {name} --data {options.data} --out {run}/validation",
-        f"evaluate --policy {name} {calibration} --episodes {options.episodes} --seed {options.seed} "
-        f"--cell {options.cell} --out {run}/evaluation",
+        *([evaluate] if policy in options.closed_loop else []),
     ]
 
 
 def row(run: Path, policy: str) -> dict[str, Any]:
     """One line of the table."""
     validation = json.loads((run / "validation" / "metrics.json").read_text())
-    evaluation = json.loads((run / "evaluation" / "metrics.json").read_text())
-    training = run / "metrics.json"
+    evaluated, training = run / "evaluation" / "metrics.json", run / "metrics.json"
     seconds = json.loads(training.read_text())["train_s"] if training.exists() else None
-    truth, success, distance = validation["truth"], evaluation["success"], evaluation["distance_cm"]
+    truth = validation["truth"]
     return {
         "policy": policy,
         "pick error (cm)": spread(truth["pick_error_cm"]),
         "place error (cm)": spread(truth["place_error_cm"]),
         "trained in": "not trained" if seconds is None else f"{seconds / 60:.1f} min",
         "decision (ms)": round(validation["decision_ms"]["median"], 1),
+        **(closed_loop(json.loads(evaluated.read_text())) if evaluated.exists() else {}),
+    }
+
+
+def closed_loop(metrics: dict[str, Any]) -> dict[str, str]:
+    """How the bags ended."""
+    success, distance = metrics["success"], metrics["distance_cm"]
+    return {
         "bag within 2 cm of the goal": f"{100 * success['rate']:.0f}% of {success['n']} "
         f"({100 * success['low']:.0f} to {100 * success['high']:.0f})",
         "final distance (cm)": f"{distance['median']:.2f} median, {distance['max']:.1f} worst",

@@ -42,7 +42,8 @@ class RegressionRecipe:
             network.place.resnet.load_state_dict(imagenet)
         first = attempts[0]
         self.policy = RegressionPolicy(network, first.before.size, first.cell, goal_style, goal_color)
-        self._attempts = attempts
+        # Nothing is drawn at random but which attempt it is, so every batch there can be is made once, here.
+        self._batches = [self._batch(attempt) for attempt in attempts]
 
     def optimizer(self) -> Optimizer:
         """Adam over both networks: as it treats every number alone, the same as one for each.
@@ -57,7 +58,9 @@ class RegressionRecipe:
 
     def batch(self, rng: np.random.Generator) -> Batch:
         """`images` `(1, 3, 224, 224)` uint8 with the goal painted in, `xy` `(1, 2, 2)` metres."""
-        attempt = self._attempts[int(rng.integers(len(self._attempts)))]
+        return self._batches[int(rng.integers(len(self._batches)))]
+
+    def _batch(self, attempt: Attempt) -> Batch:
         image = self.policy.painted(attempt.before.color, goal_of(attempt))
         executed = attempt.outcome.executed
         xy = np.stack([executed.pick.xy, executed.place.xy])
