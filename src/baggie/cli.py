@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json as jsonlib
-import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
-
-# Two OpenMP threads that spin while they wait for one another are slower than two that sleep.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import tyro
 
