@@ -1,4 +1,4 @@
-"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements seven methods."""
+"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods."""
 
 from __future__ import annotations
 
