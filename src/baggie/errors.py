@@ -19,3 +19,7 @@ class CameraError(BaggieError):
 
 class DataError(BaggieError):
     """A file of a recording or a checkpoint is missing, cut off, or of another kind than asked for."""
+
+
+class CalibrationError(BaggieError):
+    """A calibration that cannot be trusted, or is of another camera; nothing was saved or used."""

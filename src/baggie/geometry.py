@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
 
@@ -128,3 +129,36 @@ def invert_transform(transform: ArrayLike) -> FloatArray:
     result[:3, :3] = t[:3, :3].T
     result[:3, 3] = -t[:3, :3].T @ t[:3, 3]
     return result
+
+
+def rigid(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """`(3, 3)` rotation and `(3,)` translation -> `(4, 4)` homogeneous transform."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = np.asarray(translation, float).reshape(3)
+    return result
+
+
+def from_vector(vector: ArrayLike) -> FloatArray:
+    """`(6,)`, a rotation vector (radians) and then a translation -> `(4, 4)`."""
+    vector = np.asarray(vector, float).reshape(6)
+    return rigid(Rotation.from_rotvec(vector[:3]).as_matrix(), vector[3:])
+
+
+def to_vector(transform: ArrayLike) -> FloatArray:
+    """The inverse of `from_vector`: `(4, 4)` -> `(6,)`."""
+    t = np.asarray(transform, float)
+    return np.concatenate([Rotation.from_matrix(t[:3, :3]).as_rotvec(), t[:3, 3]])
+
+
+def transform_points(transform: ArrayLike, points: ArrayLike) -> FloatArray:
+    """`T_a_b` `(4, 4)` and points of frame b `(N, 3)` -> the same points in frame a `(N, 3)`."""
+    t = np.asarray(transform, float)
+    return np.asarray(np.asarray(points, float).reshape(-1, 3) @ t[:3, :3].T + t[:3, 3], float)
+
+
+def difference(a: ArrayLike, b: ArrayLike) -> tuple[float, float]:
+    """How far two transforms `(4, 4)` between the same frames are apart: metres, radians."""
+    turn = np.asarray(a, float)[:3, :3].T @ np.asarray(b, float)[:3, :3]
+    shift = np.asarray(a, float)[:3, 3] - np.asarray(b, float)[:3, 3]
+    return float(np.linalg.norm(shift)), float(Rotation.from_matrix(turn).magnitude())

@@ -40,6 +40,21 @@ class Intrinsics:
         matrix[1, 2] += (sy - 1) / 2
         return Intrinsics(width, height, matrix, self.distortion)
 
+    def project(self, points: FloatArray) -> FloatArray:
+        """Where points of the camera's frame appear: `(N, 3)` metres -> `(N, 2)` pixels (u, v)."""
+        still = np.zeros(3)
+        points = np.asarray(points, float).reshape(-1, 1, 3)
+        pixels, _ = cv2.projectPoints(points, still, still, self.matrix, self.distortion)
+        return np.asarray(pixels.reshape(-1, 2), float)
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """The directions (x/z, y/z) that pixels see, lens distortion undone: `(N, 2)` -> `(N, 2)`."""
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
+        seen = np.asarray(pixels, float).reshape(-1, 1, 2)
+        same = np.eye(3)
+        rays = cv2.undistortPointsIter(seen, self.matrix, self.distortion, same, same, criteria)
+        return np.asarray(rays.reshape(-1, 2), float)
+
 
 @dataclass(frozen=True)
 class Observation:

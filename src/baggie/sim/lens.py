@@ -40,25 +40,15 @@ class Lens:
 
     def project(self, points: FloatArray) -> FloatArray:
         """`(N, 3)` metres in the camera's frame -> `(N, 2)` pixels (u, v)."""
-        pixels, _ = cv2.projectPoints(
-            np.asarray(points, float).reshape(-1, 1, 3),
-            np.zeros(3),
-            np.zeros(3),
-            self.intrinsics.matrix,
-            self.intrinsics.distortion,
-        )
-        return np.asarray(pixels.reshape(-1, 2))
+        return self.intrinsics.project(points)
 
     @cached_property
     def _rays(self) -> FloatArray:
         """`(H, W, 2)`: for each pixel, the ideal ray (x/z, y/z) it sees."""
         width, height = self.size
         v, u = np.mgrid[:height, :width].astype(np.float64)
-        pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
-        matrix, distortion = self.intrinsics.matrix, self.intrinsics.distortion
-        rays = cv2.undistortPointsIter(pixels, matrix, distortion, np.eye(3), np.eye(3), criteria)
-        return np.asarray(rays.reshape(height, width, 2))
+        pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+        return self.intrinsics.rays(pixels).reshape(height, width, 2)
 
     @cached_property
     def render_fovy(self) -> float:

@@ -1,0 +1,87 @@
+"""Calibrations on disk: readable YAML that says what it is, of which camera, and when it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from baggie.errors import CalibrationError, DataError
+from baggie.files import write_text
+
+
+@dataclass(frozen=True)
+class CameraIdentity:
+    """Which camera pictures come from, and at what size: a calibration is good for no other."""
+
+    name: str
+    width: int
+    height: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(width, height)`, pixels."""
+        return self.width, self.height
+
+    def check(self, other: CameraIdentity, what: str) -> None:
+        """Raise `CalibrationError` unless `other` is this camera at this resolution. `what` names the calibration."""
+        if self != other:
+            raise CalibrationError(
+                f"{what} is of camera {self.name!r} at {self.width} x {self.height} pixels, not of {other.name!r} at "
+                f"{other.width} x {other.height}; calibrate this camera at this resolution, or name the right file"
+            )
+
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {"name": self.name, "width": self.width, "height": self.height}
+
+    @classmethod
+    def from_yaml(cls, content: Mapping[str, Any]) -> CameraIdentity:
+        """The inverse of `to_yaml`."""
+        return cls(str(content["name"]), int(content["width"]), int(content["height"]))
+
+
+def write_calibration(path: Path, kind: str, content: Mapping[str, Any]) -> None:
+    """Write YAML, whole or not at all; arrays become lists, floats keep every digit."""
+    plain = {"kind": kind, "made_on": date.today().isoformat(), **{k: _plain(v) for k, v in content.items()}}
+    write_text(path, yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=110))
+
+
+def read_calibration(path: Path, kind: str) -> dict[str, Any]:
+    """What `write_calibration` wrote. Raises `DataError` where the file is missing or of another kind."""
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise DataError(
+            f"no {kind} calibration at {path} ({error.strerror}); make one: baggie calibrate {kind}"
+        ) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise DataError(f"{path} is no YAML ({' '.join(str(error).split())}); calibrate again") from None
+    found = content.get("kind") if isinstance(content, dict) else None
+    if found != kind:
+        raise DataError(
+            f"expected a {kind} calibration in {path}, got {found or 'something else'!r}; name the right file"
+        )
+    return dict(content)
+
+
+def broken(path: Path, kind: str, error: Exception) -> DataError:
+    """For a calibration of the right kind with an entry missing or wrong."""
+    return DataError(f"the {kind} calibration in {path} is damaged ({error!r}); calibrate again")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value

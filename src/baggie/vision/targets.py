@@ -1,0 +1,283 @@
+"""Printed things whose points a camera finds by itself: ChArUco boards, chessboards, single ArUco markers.
+
+A target's frame is OpenCV's: its origin is the pattern's top left corner (of a chessboard, the first inner one; of a
+marker, its middle), x runs right along the print, y down it, z into the paper. Marker points follow the same axes.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray
+from baggie.types import Image
+
+MIN_CORNERS = 6
+"""Fewer corners of a board in a picture say too little about its pose."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Points of a target found in one picture."""
+
+    ids: NDArray[np.int64]
+    """`(N,)`: which of the target's points."""
+    pixels: FloatArray
+    """`(N, 2)` (u, v), sub-pixel."""
+    points: FloatArray
+    """`(N, 3)` metres, the same points in the target's frame."""
+
+
+class Target(Protocol):
+    """Something printed, of known size."""
+
+    @property
+    def spec(self) -> str:
+        """How a person writes it: what `parse_target` reads."""
+        ...
+
+    @property
+    def points(self) -> FloatArray:
+        """`(N, 3)` metres: all its points in its own frame, in the order of their ids."""
+        ...
+
+    def detect(self, image: Image) -> Seen | None:
+        """Its points in a picture `(H, W, 3)`; None where too few are found."""
+        ...
+
+    def why_not(self, image: Image) -> str:
+        """One clause: why `detect` found nothing in this picture, as far as can be told."""
+        ...
+
+
+@dataclass(frozen=True)
+class Charuco:
+    """A chessboard with an ArUco marker in each white square: found even when partly hidden."""
+
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float
+    dictionary: str
+    legacy: bool = False
+    """As OpenCV before 4.6 laid out boards with an even number of rows: a marker in the top left square."""
+
+    @property
+    def spec(self) -> str:
+        """`charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY`, metres."""
+        return f"charuco:{self.columns}x{self.rows}:{self.square_m:g}:{self.marker_m:g}:{self.dictionary}"
+
+    @cached_property
+    def board(self) -> cv2.aruco.CharucoBoard:
+        """OpenCV's own board."""
+        size = (self.columns, self.rows)
+        board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
+        board.setLegacyPattern(self.legacy)
+        return board
+
+    @property
+    def points(self) -> FloatArray:
+        """`(N, 3)` metres: the inner corners, row by row."""
+        return np.asarray(self.board.getChessboardCorners(), float)
+
+    def detect(self, image: Image) -> Seen | None:
+        """Its inner corners in a picture, whichever of the two layouts was printed."""
+        found = self._detect_as_laid_out(image)
+        other = None if found else replace(self, legacy=not self.legacy)._detect_as_laid_out(image)
+        return found or other
+
+    def _detect_as_laid_out(self, image: Image) -> Seen | None:
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(self.board).detectBoard(_grey(image))
+        if ids is None or len(ids) < MIN_CORNERS:
+            return None
+        index = np.asarray(ids.ravel(), np.int64)
+        return Seen(index, np.asarray(corners, float).reshape(-1, 2), self.points[index])
+
+    def why_not(self, image: Image) -> str:
+        """Markers of another dictionary, a mirrored picture, too few corners, or nothing at all."""
+        return _why_no_markers(image, self.dictionary, self.columns * self.rows // 2)
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A plain chessboard; the whole of it must be in the picture.
+
+    `columns` x `rows` are its inner corners, as OpenCV and ROS count; who counted squares is understood, too.
+    """
+
+    columns: int
+    rows: int
+    square_m: float
+
+    @property
+    def spec(self) -> str:
+        """`chessboard:COLUMNSxROWS:SQUARE`, metres."""
+        return f"chessboard:{self.columns}x{self.rows}:{self.square_m:g}"
+
+    @property
+    def points(self) -> FloatArray:
+        """`(N, 3)` metres: the inner corners, row by row."""
+        v, u = np.mgrid[: self.rows, : self.columns]
+        return np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3) * self.square_m
+
+    def detect(self, image: Image) -> Seen | None:
+        """All its inner corners, or None."""
+        grey = _grey(image)
+        for board in (self, Chessboard(self.columns - 1, self.rows - 1, self.square_m)):
+            if min(board.columns, board.rows) < 2:
+                continue
+            size = (board.columns, board.rows)
+            found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_ACCURACY)
+            if not found:
+                quick = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+                found, corners = cv2.findChessboardCorners(grey, size, flags=quick)
+                if found:
+                    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+                    corners = cv2.cornerSubPix(grey, corners, (5, 5), (-1, -1), stop)
+            if found:
+                pixels = np.asarray(corners, float).reshape(-1, 2)
+                return Seen(np.arange(len(pixels), dtype=np.int64), pixels, board.points)
+        return None
+
+    def why_not(self, image: Image) -> str:
+        """A chessboard is found whole or not at all."""
+        return f"no chessboard with {self.columns} x {self.rows} inner corners (or squares) is wholly in the picture"
+
+
+@dataclass(frozen=True)
+class Marker:
+    """One ArUco marker."""
+
+    dictionary: str
+    number: int
+    size_m: float
+    """Side of the black square."""
+
+    @property
+    def spec(self) -> str:
+        """`aruco:DICTIONARY:NUMBER:SIZE`, metres."""
+        return f"aruco:{self.dictionary}:{self.number}:{self.size_m:g}"
+
+    @property
+    def points(self) -> FloatArray:
+        """`(4, 3)` metres: its corners from the top left one clockwise; the origin is its middle."""
+        half = self.size_m / 2
+        return np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
+
+    def detect(self, image: Image) -> Seen | None:
+        """Its four corners in a picture."""
+        corners, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
+        matches = [] if ids is None else np.flatnonzero(ids.ravel() == self.number)
+        if len(matches) != 1:
+            return None
+        return Seen(
+            np.arange(4, dtype=np.int64), np.asarray(corners[matches[0]], float).reshape(4, 2), self.points
+        )
+
+    def why_not(self, image: Image) -> str:
+        """Seen twice, another marker or dictionary, a mirrored picture, or nothing at all."""
+        _, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
+        if ids is not None and (ids == self.number).sum() > 1:
+            return f"marker {self.number} is in the picture {(ids == self.number).sum()} times; leave one"
+        if ids is not None:
+            others = ", ".join(map(str, sorted(set(ids.ravel().tolist()))))
+            return f"marker {self.number} of {self.dictionary} is not in the picture, but {others} is"
+        return _why_no_markers(image, self.dictionary, 1)
+
+
+def parse_target(spec: str) -> Target:
+    """The target a person wrote down.
+
+    `charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY`, `chessboard:COLUMNSxROWS:SQUARE` or
+    `aruco:DICTIONARY:NUMBER:SIZE`, all sizes in metres. Raises `BaggieError` for anything else.
+    """
+    kind, *words = spec.split(":")
+    try:
+        if kind == "charuco" and len(words) == 4:
+            columns, rows = _grid(words[0])
+            board = Charuco(columns, rows, float(words[1]), float(words[2]), _dictionary_name(words[3]))
+            _check(board.columns >= 2 and board.rows >= 2, "at least 2 x 2 squares")
+            _check(0 < board.marker_m < board.square_m, "markers smaller than the squares, both above 0")
+            _check(board.square_m < 1, "sizes in metres, squares under 1 m")
+            return board
+        if kind == "chessboard" and len(words) == 2:
+            chessboard = Chessboard(*_grid(words[0]), float(words[1]))
+            _check(min(chessboard.columns, chessboard.rows) >= 3, "at least 3 x 3 corners")
+            _check(0 < chessboard.square_m < 1, "sizes in metres, squares between 0 and 1 m")
+            return chessboard
+        if kind == "aruco" and len(words) == 3:
+            marker = Marker(_dictionary_name(words[0]), int(words[1]), float(words[2]))
+            count = len(_dictionary(marker.dictionary).bytesList)
+            _check(0 <= marker.number < count, f"a number below {count} in {marker.dictionary}")
+            _check(0 < marker.size_m < 1, "sizes in metres, between 0 and 1 m")
+            return marker
+        raise ValueError("a target of one of the kinds below")
+    except (ValueError, IndexError) as error:
+        raise BaggieError(
+            f"cannot read the target {spec!r} (expected {error}); write charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, "
+            "chessboard:COLUMNSxROWS:SQUARE or aruco:DICTIONARY:NUMBER:SIZE, sizes in metres, "
+            "for example charuco:7x5:0.030:0.021:DICT_4X4_50"
+        ) from None
+
+
+def _check(right: bool, expected: str) -> None:
+    if not right:
+        raise ValueError(expected)
+
+
+def _grid(words: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)x(\d+)", words)
+    if match is None:
+        raise ValueError("a grid such as 7x5")
+    return int(match[1]), int(match[2])
+
+
+def _dictionary_name(name: str) -> str:
+    full = name if name.startswith("DICT_") else f"DICT_{name}"
+    if not isinstance(getattr(cv2.aruco, full, None), int):
+        raise ValueError("a dictionary of OpenCV's such as DICT_4X4_50")
+    return full
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)
+
+
+def _grey(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
+
+
+_COMMON = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+
+
+def _why_no_markers(image: Image, dictionary: str, wanted: int) -> str:
+    grey = _grey(image)
+
+    def count(picture: Image, name: str) -> int:
+        _, ids, _ = _marker_detector(name).detectMarkers(picture)
+        return 0 if ids is None else len(ids)
+
+    here, mirrored = count(grey, dictionary), count(np.ascontiguousarray(grey[:, ::-1]), dictionary)
+    if mirrored > 2 * here:  # now and then a mirrored marker is another one
+        return "the picture is mirrored; switch the mirroring of the camera or its driver off"
+    if here:
+        return f"only {here} of {wanted} markers are seen; show more of it, nearer and less slanted"
+    others = {name: count(grey, name) for name in _COMMON if not dictionary.startswith(name[:8])}
+    best = max(others, key=lambda name: others[name])
+    if others[best]:
+        family = best.rsplit("_", 1)[0]
+        return f"no marker of {dictionary} is seen, but {others[best]} of {family}; is that what was printed?"
+    return "no marker is seen; it may be too small, cut off, edge-on, blurred or in glare"
