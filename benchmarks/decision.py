@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 import torch
 
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.data.annotation import goal_of
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.policies import ColorMaskPolicy, Policy, RegressionPolicy
@@ -56,9 +57,9 @@ def main() -> None:
 
 
 def color_mask() -> ColorMaskPolicy:
-    xy = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
-    pixels = to_pixels(np.c_[xy, np.full(len(xy), 0.015)], SIZE)
-    return ColorMaskPolicy(ImageToRobot.fit(pixels, xy, SIZE, height_m=0.015), RED)
+    robot = np.array([[x, y, 0.015] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
+    fitted = ImageToRobot.fit(to_pixels(robot, SIZE), robot, CameraIdentity("drawn", *SIZE))
+    return ColorMaskPolicy(fitted, RED)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,8 @@ from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose
 from baggie.types import Image, Intrinsics, Observation, Outcome, PickPlace
 from baggie.workcell.arm import ArmInfo
+from baggie.workcell.calibrations import Calibrations
+from baggie.workcell.watch import Watch
 from baggie.workcell.workcell import WorkcellSettings
 
 SIZE = (1280, 720)
@@ -141,6 +143,8 @@ class FakeCell:
         self.executed: list[PickPlace] = []
         self.rescues = 0
         self.frozen: Observation | None = None
+        self.calibrations = Calibrations()
+        self.watch: Watch | None = None
         self.reset((0,))
 
     def reset(self, seed: Sequence[int]) -> None:
@@ -158,7 +162,10 @@ class FakeCell:
     def look(self) -> Observation:
         self.arm.park()
         self.time += 0.5
-        return self.camera.look()
+        observation = self.camera.look()
+        if self.watch is not None:
+            self.watch.check(observation.color)
+        return observation
 
     def clock(self) -> float:
         return self.time

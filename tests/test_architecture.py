@@ -10,8 +10,8 @@ FLOORS = [
     {"types", "geometry", "errors", "seeds", "files", "processes"},
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
-    {"collect", "learning", "evaluation"},
-    {"cli", "envs", "__main__", "__init__"},
+    {"collect", "commissioning", "learning", "evaluation"},
+    {"cli", "cli_calibrate", "cli_output", "envs", "__main__", "__init__"},
 ]
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 

@@ -7,12 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie import seeds
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.collect import machine
 from baggie.collect.machine import MAX_ASKS, MAX_LOOKS, MAX_TRIES, State, Stopped, Turn, run_turn
 from baggie.collect.places import MARGIN_M, MIN_DISTANCE_M, false_45, grip_yaw, nearest_grip, random_place
-from baggie.collect.points import grid
 from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
+from baggie.commissioning.points import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import Outcome
@@ -25,9 +26,8 @@ RECORDING = Recording("put the bean bag on the goal", 0, 0, (320, 180))
 @pytest.fixture(scope="module")
 def image_to_robot() -> ImageToRobot:
     cell = FakeCell(size=SIZE)
-    robot = grid(cell.settings.workspace, 0.03)
-    seen = cell.camera.project(np.c_[robot, np.full(len(robot), 0.017)])
-    return ImageToRobot.fit(seen, robot, SIZE, 0.017)
+    robot = grid(cell.settings.workspace, 0.03, (0.017,))
+    return ImageToRobot.fit(cell.camera.project(robot), robot, CameraIdentity("top", *SIZE))
 
 
 @pytest.fixture

@@ -3,8 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.calibration.homography import ImageToRobot
-from baggie.collect.points import grid
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.commissioning.points import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy
@@ -24,9 +25,9 @@ def cell() -> FakeCell:
 
 @pytest.fixture(scope="module")
 def policy(cell: FakeCell) -> ColorMaskPolicy:
-    robot = grid(cell.settings.workspace, 0.02)
-    seen = cell.camera.project(np.c_[robot, np.full(len(robot), BAG_Z)])
-    return ColorMaskPolicy(ImageToRobot.fit(seen, robot, SIZE, BAG_Z), cell.settings.object_color)
+    robot = grid(cell.settings.workspace, 0.02, (BAG_Z,))
+    fitted = ImageToRobot.fit(cell.camera.project(robot), robot, CameraIdentity("top", *SIZE))
+    return ColorMaskPolicy(fitted, cell.settings.object_color)
 
 
 def goal_at(cell: FakeCell, pose: PlanarPose) -> Goal:

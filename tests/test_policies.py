@@ -9,7 +9,8 @@ import safetensors.torch
 import torch
 import yaml
 
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose
@@ -52,9 +53,9 @@ def regression():
 
 
 def color_mask() -> ColorMaskPolicy:
-    xy = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
-    pixels = to_pixels(np.c_[xy, np.full(len(xy), 0.015)], SIZE)
-    return ColorMaskPolicy(ImageToRobot.fit(pixels, xy, SIZE, height_m=0.015), RED)
+    robot = np.array([[x, y, 0.015] for x in (0.35, 0.5, 0.65) for y in (-0.25, 0.0, 0.25)])
+    fitted = ImageToRobot.fit(to_pixels(robot, SIZE), robot, CameraIdentity("drawn", *SIZE))
+    return ColorMaskPolicy(fitted, RED)
 
 
 def test_every_policy_keeps_the_contract(attempt, keypoint, regression):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json as jsonlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import tyro
 
+from baggie.cli_calibrate import calibrate
+from baggie.cli_output import show
 from baggie.collect import CollectOptions
 from baggie.collect import collect as run_collect
+from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.closed_loop import EvaluateOptions
@@ -35,7 +36,7 @@ def collect(options: CollectOptions, json: bool = False) -> None:
         options: What to collect.
         json: Print the summary as one JSON object.
     """
-    _show(run_collect(options), json)
+    show(run_collect(options), json)
 
 
 def inspect(
@@ -54,7 +55,7 @@ def inspect(
     summary = inspect_dataset(data)
     if summary["attempts"]:
         summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
-    _show(summary, json)
+    show(summary, json)
 
 
 def train(options: TrainOptions, json: bool = False) -> None:
@@ -66,7 +67,7 @@ def train(options: TrainOptions, json: bool = False) -> None:
         options: What to train.
         json: Print the metrics as one JSON object.
     """
-    _show(run_train(options), json)
+    show(run_train(options), json)
 
 
 def validate(options: ValidateOptions, json: bool = False) -> None:
@@ -78,7 +79,7 @@ def validate(options: ValidateOptions, json: bool = False) -> None:
         options: What to measure.
         json: Print the metrics as one JSON object.
     """
-    _show(run_validate(options), json)
+    show(run_validate(options), json)
 
 
 def evaluate(options: EvaluateOptions, json: bool = False) -> None:
@@ -90,7 +91,7 @@ def evaluate(options: EvaluateOptions, json: bool = False) -> None:
         options: What to run.
         json: Print the metrics as one JSON object.
     """
-    _show(run_evaluate(options), json)
+    show(run_evaluate(options), json)
 
 
 def report(options: ReportOptions, json: bool = False) -> None:
@@ -102,11 +103,24 @@ def report(options: ReportOptions, json: bool = False) -> None:
         options: What to put on it.
         json: Print where the page is as one JSON object.
     """
-    _show({"report": str(run_report(options))}, json)
+    show({"report": str(run_report(options))}, json)
+
+
+def print_target(options: PrintOptions, json: bool = False) -> None:
+    """Make a marker, a board or a goal card as a PDF at true size.
+
+    Example: baggie print-target board --out board.pdf
+
+    Args:
+        options: What to print, and on what.
+        json: Print where it is as one JSON object.
+    """
+    show(print_to_pdf(options), json)
 
 
 VERBS: dict[str, Callable[..., None]] = {
-    verb.__name__: verb for verb in (collect, inspect, train, validate, evaluate, report)
+    verb.__name__.replace("_", "-"): verb
+    for verb in (collect, inspect, train, validate, evaluate, report, calibrate, print_target)
 }
 
 
@@ -118,7 +132,11 @@ def main(arguments: list[str] | None = None) -> int:
             prog="baggie",
             description="A robot that teaches itself to pick up and place soft things.",
             args=arguments,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            config=(
+                tyro.conf.OmitArgPrefixes,
+                tyro.conf.OmitSubcommandPrefixes,
+                tyro.conf.FlagCreatePairsOff,
+            ),
         )
     except (BaggieError, OSError) as error:
         print("error:", " ".join(str(error).split()), file=sys.stderr)
@@ -127,30 +145,6 @@ def main(arguments: list[str] | None = None) -> int:
         print(str(interruption) or "interrupted; the same command again goes on", file=sys.stderr)
         return INTERRUPTED
     return DONE
-
-
-def _show(result: Mapping[str, Any], as_json: bool) -> None:
-    print(jsonlib.dumps(result, default=str) if as_json else "\n".join(_lines(result)))
-
-
-def _lines(result: Mapping[str, Any], indent: str = "") -> list[str]:
-    """A nested result as indented lines."""
-    lines = []
-    for key, value in result.items():
-        name = str(key).replace("_", " ")
-        if isinstance(value, Mapping) and any(isinstance(inner, Mapping) for inner in value.values()):
-            lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
-        elif isinstance(value, Mapping):
-            lines.append(f"{indent}{name}: " + ", ".join(f"{k} {_number(v)}" for k, v in value.items()))
-        elif isinstance(value, (list, tuple)) and len(value) > 12:
-            lines.append(f"{indent}{name}: {len(value)} entries")
-        else:
-            lines.append(f"{indent}{name}: {_number(value)}")
-    return lines
-
-
-def _number(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

@@ -23,3 +23,7 @@ class DataError(BaggieError):
 
 class CalibrationError(BaggieError):
     """A calibration that cannot be trusted, or is of another camera; nothing was saved or used."""
+
+
+class BumpedError(BaggieError):
+    """The camera or the table is no longer where it was when the workcell was calibrated."""

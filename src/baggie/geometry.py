@@ -139,6 +139,16 @@ def rigid(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
     return result
 
 
+def hand_matrix(pose: ToolPose) -> FloatArray:
+    """`T_base_hand` `(4, 4)` of a tool that points straight down.
+
+    The hand's frame is the tool's: origin between the fingertips, z out of the hand along the fingers, y the axis they
+    open along; at yaw 0 x points forward.
+    """
+    c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+    return rigid([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]], pose.xyz)
+
+
 def from_vector(vector: ArrayLike) -> FloatArray:
     """`(6,)`, a rotation vector (radians) and then a translation -> `(4, 4)`."""
     vector = np.asarray(vector, float).reshape(6)

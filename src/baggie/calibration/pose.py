@@ -15,6 +15,10 @@ from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Intrinsics
 
+NOISE_PX, NOISE_COUNTS = 0.15, 4
+"""How far off points usually are, per axis, and for how many residuals that knowledge counts: of a lone marker, with
+eight numbers seen and six fitted, the residuals say next to nothing."""
+
 _GROSS_PX = 8.0
 """Further off than this, a point was confused with something else."""
 _STDS = 4.0
@@ -151,9 +155,9 @@ def _covariance(
     # Turned about the camera's own axes: exactly the error (w, d) of `UncertainTransform`.
     _, jacobian = cv2.projectPoints(in_camera, still, pose[:3, 3], intrinsics.matrix, intrinsics.distortion)
     by_pose = jacobian[:, :6]
-    # Their scatter is itself known from a few points only: Student's t with as many degrees has this variance.
-    spare = max(residuals.size - 6, 3)
-    variance = float((residuals**2).sum()) / (spare - 2)
+    # The noise is itself known from few residuals only: the mean of an inverse gamma distribution.
+    counts = residuals.size - 6 + NOISE_COUNTS
+    variance = (float((residuals**2).sum()) + NOISE_COUNTS * NOISE_PX**2) / (counts - 2)
     inverse = np.linalg.pinv(by_pose.T @ by_pose)
     covariance = variance * inverse
     if intrinsics_covariance is not None:

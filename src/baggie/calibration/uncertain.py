@@ -16,6 +16,8 @@ from scipy.stats import chi2
 
 from baggie.geometry import FloatArray, invert_transform
 
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True)
 class UncertainTransform:
@@ -60,7 +62,8 @@ class UncertainTransform:
     def holds(self, truth: ArrayLike, probability: float = 0.95) -> bool:
         """Whether `truth` `(4, 4)` lies in the region that is to hold it with this probability."""
         error = self.error_of(truth)
-        distance = error @ np.linalg.pinv(self.covariance, hermitian=True) @ error
+        # Where there is no uncertainty at all, there may be no error but what rounding leaves.
+        distance = error @ np.linalg.inv(self.covariance + _ROUNDING**2 * np.eye(6)) @ error
         return bool(distance <= chi2.ppf(probability, 6))
 
 

@@ -2,34 +2,67 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
+
 from baggie import seeds
-from baggie.calibration.homography import ImageToRobot, offset_to_height
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.collect.cell import CollectorCell
 from baggie.collect.places import MARGIN_M
-from baggie.collect.points import collect_points, grid
+from baggie.commissioning.points import color_finder, grid, visit
+from baggie.geometry import transform_points
+from baggie.vision.picture_files import write_picture
+from baggie.workcell.watch import REFERENCE_FILE
 
-MARKER_HEIGHTS_M = (0.07, 0.20)
-"""Above the table while it is looked at. The lower, just clear of a bag that lies there, is the map's; the
-other only tells how things shift with height."""
+MARKER_HEIGHTS_M = (0.07, 0.17)
+"""Above the table while it is looked at; the lower, just clear of a bag that lies there."""
+
+
+def calibrate_into(folder: Path, cell: CollectorCell, seed: int) -> None:
+    """Calibrate a cell and keep all that belongs to it: the colour-mask policy with its map, and the picture that a
+    watch compares with.
+
+    Raises `BaggieError` as `calibrate` does.
+    """
+    from baggie.policies.color_mask import ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
+
+    image_to_robot = calibrate(cell, seed)
+    write_picture(folder / REFERENCE_FILE, cell.look().color)
+    ColorMaskPolicy(image_to_robot, cell.settings.object_color).save(folder)  # last: where it is, all is
 
 
 def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
     """Fit the map from the picture to the robot, right at half the object's height, where its outline is.
 
-    The same cell and seed give the same map. Raises `BaggieError` when the marker is seen too seldom, or not
-    where the arm says it is.
+    The workcell's own map where it has one; else the same cell and seed give the same map. Raises `BaggieError` when
+    the marker is seen too seldom, or not where the arm says it is.
     """
+    settings, camera = cell.settings, cell.camera
+    height_m = settings.object_size_m[2] / 2
+    known = cell.calibrations.image_to_robot
+    if known is not None:
+        return known.at_height(height_m) if known.height_aware else known
+    find = color_finder(settings.marker.color)
+    in_hand = np.array([settings.marker.offset_m, 0.0, 0.0])
     cell.reset((seeds.CALIBRATION, seed))
     cell.show_paddle(True)
+    pixels, robot = [], []
     try:
-        low, high = (_fit_plane(cell, height) for height in MARKER_HEIGHTS_M)
+        for _, T_base_hand, observation in visit(
+            cell.arm, camera, grid(settings.workspace, MARGIN_M, MARKER_HEIGHTS_M), in_hand
+        ):
+            pixel = find(observation.color)
+            if pixel is not None:
+                pixels.append(pixel)
+                robot.append(transform_points(T_base_hand, in_hand)[0])
     finally:
         cell.show_paddle(False)
-    return low.with_offset(offset_to_height(low, high, cell.settings.object_size_m[2] / 2))
-
-
-def _fit_plane(cell: CollectorCell, height_m: float) -> ImageToRobot:
-    settings = cell.settings
-    positions = grid(settings.workspace, MARGIN_M)
-    pixels, robot = collect_points(cell.arm, cell.camera, positions, height_m, settings.marker)
-    return ImageToRobot.fit(pixels, robot, cell.camera.size, height_m)
+    return ImageToRobot.fit(
+        np.array(pixels),
+        np.array(robot),
+        CameraIdentity(camera.name, *camera.size),
+        intrinsics=camera.intrinsics,
+        height_m=height_m,
+    )

@@ -8,7 +8,9 @@ from typing import Protocol
 from baggie.geometry import PlanarPose
 from baggie.types import Observation, Outcome, PickPlace
 from baggie.workcell.arm import Arm
+from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.camera import Camera
+from baggie.workcell.watch import Watch
 from baggie.workcell.workcell import WorkcellSettings
 
 Ask = Callable[[str], bool]
@@ -24,6 +26,10 @@ class CollectorCell(Protocol):
     def camera(self) -> Camera: ...  # noqa: D102 -- a workcell's attributes
     @property
     def settings(self) -> WorkcellSettings: ...  # noqa: D102 -- a workcell's attributes
+
+    calibrations: Calibrations
+    watch: Watch | None
+    """Set once the cell is calibrated; then `look` raises `BumpedError` when the camera or the table has moved."""
 
     def look(self) -> Observation:
         """A picture with the arm out of the way."""

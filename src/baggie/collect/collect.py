@@ -16,8 +16,8 @@ import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baggie.calibration.homography import ImageToRobot
-from baggie.collect.calibrate import calibrate
+from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import CollectorCell
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
@@ -25,6 +25,8 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.processes import stream_in_processes
 from baggie.types import Attempt
+from baggie.vision.picture_files import read_picture
+from baggie.workcell.watch import REFERENCE_FILE, Watch
 
 INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
 """The tasks that can be collected, and each in words."""
@@ -52,6 +54,8 @@ class CollectOptions:
     """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
     cell: int = 0
     """Number of the simulated workcell."""
+    workcell: Path | None = None
+    """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
     workers: int | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
 
@@ -69,6 +73,7 @@ class CollectOptions:
         """The command line that goes on with this collection."""
         words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
         words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
+        words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
         return shlex.join(words)
 
@@ -80,6 +85,21 @@ def open_simulated_cell(number: int) -> CollectorCell:
     return open_simulated(number)
 
 
+def open_file_cell(path: Path, number: int) -> CollectorCell:
+    """The workcell a file describes. Raises `BaggieError` for a file that cannot be used, or of another cell."""
+    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
+
+    cell = open_workcell(path)
+    assert isinstance(cell, SimulatedWorkcell)  # the one kind so far
+    if cell.world.cell.number != number:
+        cell.close()
+        raise BaggieError(
+            f"{path} describes cell {cell.world.cell.number}, not {number}; give --cell to match"
+        )
+    return cell
+
+
 def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) -> dict[str, Any]:
     """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
 
@@ -88,6 +108,8 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     on from there. Raises `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
+    if options.workcell is not None:
+        open_cell = functools.partial(open_file_cell, options.workcell)
     console = Console(stderr=True)
     collection = {"seed": options.seed, "cell": options.cell}
     with DatasetWriter(
@@ -115,16 +137,16 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
     """The collector's map from the picture to the robot: as saved, or fitted now."""
-    from baggie.policies.color_mask import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
+    from baggie.policies.color_mask import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- as in workers
 
     folder = options.out / CALIBRATION_FOLDER
     if not (folder / CONFIG_FILE).exists():
         with console.status("calibrating the picture to the robot"), closing(open_cell(options.cell)) as cell:
-            ColorMaskPolicy(calibrate(cell, options.seed), cell.settings.object_color).save(folder)
+            calibrate_into(folder, cell, options.seed)
     image_to_robot = ColorMaskPolicy.load(folder).image_to_robot
     residuals = image_to_robot.residuals
     console.print(
-        f"picture to robot: {residuals.points} points, residual {residuals.rms_mm:.1f} mm, "
+        f"picture to robot: {residuals.kept.sum()} points, residual {residuals.rms_mm:.1f} mm, "
         f"{residuals.leave_one_out_mm:.1f} mm leave-one-out"
     )
     return image_to_robot
@@ -143,7 +165,8 @@ def _record(
         console.print(f"all {options.attempts} attempts are recorded already")
         return None
     recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
-    worker = functools.partial(_open_worker, open_cell, image_to_robot, recording)
+    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE
+    worker = functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
     done, good, start = 0, 0, time.monotonic()
     progress = Progress(
         TextColumn("collecting"),
@@ -175,11 +198,12 @@ def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, 
 
 
 def _open_worker(
-    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording
+    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording, reference: Path
 ) -> Callable[[tuple[int, ...]], Iterable[Attempt]]:
     """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
     cv2.setNumThreads(1)
     cell = open_cell(recording.cell)
+    cell.watch = Watch(read_picture(reference))
 
     def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
         number = wanted[0] // ATTEMPTS_PER_SITTING

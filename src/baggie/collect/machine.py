@@ -20,7 +20,7 @@ from enum import Enum
 
 import numpy as np
 
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.places import false_45, grip_yaw, nearest_grip, random_place
 from baggie.errors import BaggieError, LimitError, ReachError
@@ -164,6 +164,8 @@ def check(turn: Turn) -> State:
     turn.after = turn.cell.look()
     turn.found_after, landed = turn.detect(turn.after)
     failure = turn.outcome.failure or _landing(turn.pose, turn.outcome.executed.place, landed, turn.doubted)
+    if failure is None and landed is not None and turn.cell.watch is not None:
+        turn.cell.watch.landed(turn.outcome.executed.place, landed)
     turn.outcome = replace(turn.outcome, failure=failure, tries=turn.tries)
     return State.RECORD
 

@@ -17,7 +17,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baggie.collect.calibrate import calibrate
+from baggie.collect.calibrate import calibrate_into
 from baggie.errors import BaggieError
 from baggie.evaluation.episode import Bench, Episode, run_episode
 from baggie.evaluation.log import append_line, read_lines
@@ -202,7 +202,7 @@ def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
         console.status("calibrating the picture to the robot"),
         closing(open_simulated(options.cell)) as cell,
     ):
-        ColorMaskPolicy(calibrate(cell, options.seed), cell.settings.object_color).save(folder)
+        calibrate_into(folder, cell, options.seed)
 
 
 def _same_evaluation(options: EvaluateOptions) -> None:

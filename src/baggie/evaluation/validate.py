@@ -12,7 +12,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.data import Dataset, open_dataset
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError
@@ -27,6 +28,8 @@ from baggie.types import Attempt, PickPlace
 from baggie.vision.draw import paint_goal
 
 WORST = 10
+_ROUGH_MM = 20.0
+"""A map that is this far off still shows which way a plan is off."""
 
 
 @dataclass(frozen=True)
@@ -179,8 +182,10 @@ class Scene:
         places = np.concatenate([numbers["executed"][:, 0:2], numbers["executed"][:, 3:5]])
         seen = np.isfinite(boxes).all(axis=(1, 2))
         region = Region.around(boxes.reshape(-1, 2), size)
+        centers, on_table = boxes[seen].mean(axis=1), np.column_stack([places[seen], np.zeros(seen.sum())])
+        camera = CameraIdentity("recorded", *size)
         try:
-            return cls(region, ImageToRobot.fit(boxes[seen].mean(axis=1), places[seen], size, height_m=0.0))
+            return cls(region, ImageToRobot.fit(centers, on_table, camera, limit_mm=_ROUGH_MM))
         except BaggieError:
             return cls(region, None)
 

@@ -1,4 +1,4 @@
-"""The baseline: find the object by its colour and map pixels to the robot with a fitted homography."""
+"""The baseline: find the object by its colour and map pixels to the robot with a calibration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
-from baggie.calibration.homography import ImageToRobot
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle

@@ -1,4 +1,4 @@
-"""Inverse kinematics of the arm: straight tool paths as joint trajectories."""
+"""Inverse kinematics of the arm: straight tool paths as joint trajectories, and single poses at any tilt."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from baggie.errors import ReachError
-from baggie.geometry import FloatArray, ToolPose
+from baggie.geometry import FloatArray, ToolPose, from_vector, hand_matrix, invert_transform, to_vector
 
 CONTROL_PERIOD_S = 0.02
 ARM_JOINTS = 7
@@ -29,11 +29,14 @@ class Kinematics:
 
     def tool_pose(self, q: FloatArray) -> ToolPose:
         """Forward kinematics."""
-        self._configuration.update(self._full(q))
-        transform = self._configuration.get_transform_frame_to_world("tool", "site")
-        x_axis = transform.rotation().as_matrix()[:, 0]
-        x, y, z = transform.translation()
+        transform = self.hand_pose(q)
+        (x, y, z), x_axis = transform[:3, 3], transform[:3, 0]
         return ToolPose(float(x), float(y), float(z), float(np.arctan2(x_axis[1], x_axis[0])))
+
+    def hand_pose(self, q: FloatArray) -> FloatArray:
+        """`T_base_hand` `(4, 4)` by forward kinematics, tilted or not; the hand's frame is that of `hand_matrix`."""
+        self._configuration.update(self._full(q))
+        return np.asarray(self._configuration.get_transform_frame_to_world("tool", "site").as_matrix(), float)
 
     def line(self, start: FloatArray, target: ToolPose) -> FloatArray:
         """Joint positions `(N, 7)` along the straight line from `start` `(7,)` to `target`, both ends included.
@@ -48,13 +51,34 @@ class Kinematics:
         for fraction in np.linspace(0, 1, count + 1)[1:]:
             xyz = here.xyz + fraction * (target.xyz - here.xyz)
             yaw = here.yaw + fraction * (target.yaw - here.yaw)
-            path.append(self._solve(xyz, yaw, iterations=30 if fraction == 1.0 else 3))
-        self._check(target)
+            step = hand_matrix(ToolPose(float(xyz[0]), float(xyz[1]), float(xyz[2]), yaw))
+            path.append(self._solve(step, iterations=30 if fraction == 1.0 else 3))
+        if not self._is_there():
+            turned = f"pointing down at yaw {np.rad2deg(target.yaw):.0f} degrees"
+            raise self._unreachable(target.xyz, turned)
         return np.array(path)
 
-    def _solve(self, xyz: FloatArray, yaw: float, iterations: int) -> FloatArray:
-        down = np.array([[np.cos(yaw), np.sin(yaw), 0], [np.sin(yaw), -np.cos(yaw), 0], [0, 0, -1]])
-        self._task.set_target(mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(down), xyz))
+    def reach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
+        """Joint positions `(7,)` that bring the hand to `transform`, `T_base_hand` `(4, 4)`, found from `start` `(7,)`.
+
+        The hand is led there in small steps, so that the elbow does not flip. Raises `ReachError` when the arm cannot
+        get there within its joint limits.
+        """
+        here = self.hand_pose(start)
+        way = to_vector(invert_transform(here) @ transform)
+        length = max(float(np.linalg.norm(way[3:])), float(np.linalg.norm(way[:3])) / 5)
+        count = max(int(np.ceil(length / _STEP)), 1)
+        for fraction in np.linspace(0, 1, count + 1)[1:-1]:
+            self._solve(here @ from_vector(fraction * way), iterations=3)
+        solution = self._solve(transform, iterations=100)
+        if self._is_there():
+            return solution
+        tilt = np.arccos(np.clip(-transform[2, 2], -1.0, 1.0))
+        raise self._unreachable(transform[:3, 3], f"tilted by {np.rad2deg(tilt):.0f} degrees")
+
+    def _solve(self, transform: FloatArray, iterations: int) -> FloatArray:
+        """Joint positions `(7,)` nearer to `T_base_hand` `(4, 4)`, from those of the last solution."""
+        self._task.set_target(mink.SE3.from_matrix(transform))
         for _ in range(iterations):
             velocity = mink.solve_ik(
                 self._configuration,
@@ -70,15 +94,22 @@ class Kinematics:
                 break
         return np.asarray(self._configuration.q[:ARM_JOINTS].copy())
 
-    def _check(self, target: ToolPose) -> None:
+    def _off(self) -> tuple[float, float]:
+        """How far the last solution is from what was asked for: metres, radians."""
         error = self._task.compute_error(self._configuration)
-        off_m, off_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        if off_m > POSITION_TOLERANCE_M or off_rad > ROTATION_TOLERANCE_RAD:
-            raise ReachError(
-                f"the arm cannot reach x {target.x:.3f}, y {target.y:.3f}, z {target.z:.3f} m with the tool pointing "
-                f"down at yaw {np.rad2deg(target.yaw):.0f} degrees (it ends {off_m * 1000:.0f} mm and "
-                f"{np.rad2deg(off_rad):.0f} degrees away); choose a place nearer the robot's base"
-            )
+        return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+
+    def _is_there(self) -> bool:
+        off_m, off_rad = self._off()
+        return off_m <= POSITION_TOLERANCE_M and off_rad <= ROTATION_TOLERANCE_RAD
+
+    def _unreachable(self, xyz: FloatArray, turned: str) -> ReachError:
+        off_m, off_rad = self._off()
+        return ReachError(
+            f"the arm cannot reach x {xyz[0]:.3f}, y {xyz[1]:.3f}, z {xyz[2]:.3f} m with the tool {turned} "
+            f"(it ends {off_m * 1000:.0f} mm and {np.rad2deg(off_rad):.0f} degrees away); "
+            "choose a place nearer the robot's base"
+        )
 
     def _full(self, q: FloatArray) -> FloatArray:
         full = np.zeros(self._configuration.model.nq)

@@ -28,12 +28,14 @@ class CameraRenderer:
         self._lens = world.cell.lens
         width, height = PICTURE_SIZE
         self._renderer = mujoco.Renderer(world.model, height, width)
+        self._textures = _Textures(world, self._renderer)
         self._sensor = Sensor(PICTURE_SIZE)
         self._detailed = np.flatnonzero(world.model.geom_group == DETAILED_GROUP)
         self._hulls = np.flatnonzero(world.model.geom_group == HULL_GROUP)
 
     def look(self, exposure: Exposure, rng: np.random.Generator, depth: bool = True) -> Observation:
         """A picture of the world as it is now."""
+        self._textures.refresh()
         with self._arm_simplified():
             self._renderer.update_scene(self._world.data, "top")
         color = self._lens.distort(self._renderer.render())
@@ -77,6 +79,25 @@ class CameraRenderer:
         self._renderer.close()
 
 
+class _Textures:
+    """A renderer's own copies of the world's textures, all of them fresh when it is made."""
+
+    def __init__(self, world: World, renderer: mujoco.Renderer) -> None:
+        self._world = world
+        self._renderer = renderer
+        self._copied = dict(world.printed)
+
+    def refresh(self) -> None:
+        """Copy what was printed since."""
+        for name, print_ in self._world.printed.items():
+            if self._copied.get(name) != print_:
+                # MuJoCo's wrapper has no public way to its context.
+                self._renderer._gl_context.make_current()
+                texture = self._world.model.texture(name).id
+                mujoco.mjr_uploadTexture(self._world.model, self._renderer._mjr_context, texture)
+                self._copied[name] = print_
+
+
 class Film:
     """Collects frames of the arm at work, from beside the table, at a steady rate of simulated time."""
 
@@ -86,6 +107,7 @@ class Film:
         world.model.vis.quality.offsamples = 4  # a film wants smooth edges; read when the context is made
         self._renderer = mujoco.Renderer(world.model, size[1], size[0])
         world.model.vis.quality.offsamples = 0
+        self._textures = _Textures(world, self._renderer)
         self._period = 1.0 / fps
         self._next = world.time
 
@@ -95,6 +117,7 @@ class Film:
         if now < self._next - 1.5 * self._period:  # the world was reset
             self._next = now
         if now >= self._next:
+            self._textures.refresh()
             self._renderer.update_scene(self._world.data, camera="film")
             self.frames.append(self._renderer.render().copy())
             self._next += self._period

@@ -1,4 +1,4 @@
-"""Builds the MuJoCo model: the Franka arm in place, a table, the bag, the goal card, lamps and camera."""
+"""Builds the MuJoCo model: the Franka arm, a table, the bag, the goal card, printed sheets, lamps and camera."""
 
 from __future__ import annotations
 
@@ -9,10 +9,20 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, rigid
 from baggie.sim.bag import BagParameters, bag_xml
 from baggie.sim.cell import Cell
+from baggie.sim.targets import (
+    PLATE,
+    PLATE_SIZE_M,
+    PLATE_TEXTURE,
+    SHEET,
+    SHEET_SIZE_M,
+    SHEET_TEXTURE,
+    add_printed,
+)
 from baggie.sim.textures import cloth, table_top
+from baggie.types import Image
 
 TIMESTEP_S = 0.004  # 8 ms halve the time and lose a quarter of the grasps
 TOOL_OFFSET_M = (
@@ -24,6 +34,9 @@ FINGER_GAIN = 10_000.0  # N/m; the stock 100 N/m presses with 2 to 4 N and loses
 FINGER_DAMPING = 300.0
 PADDLE_OFFSET_M = 0.09
 PADDLE_RADIUS_M = 0.025
+# In front of the fingertips as the paddle is; at yaw 0 upright in the overhead picture. With the arm stretched out, the
+# hand would cover it if it were nearer, and it would leave the picture if it were further away.
+T_HAND_PLATE = rigid([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.13, 0, 0])
 CARD_SIZE_M = 0.13
 ARM = "arm_"  # prefix of everything that belongs to the arm
 
@@ -81,6 +94,9 @@ def build_model(cell: Cell, bag: BagParameters) -> mujoco.MjModel:
             castshadow=light.shadow,
         )
     _add_camera(scene, cell)
+    # Within the room: further out it would widen the model's extent, and with it every depth buffer's near plane.
+    sheet = scene.worldbody.add_body(name=SHEET, mocap=True, pos=[0.4, 0, -0.5])
+    add_printed(scene, sheet, SHEET, SHEET_SIZE_M, SHEET_TEXTURE)
     with (
         warnings.catch_warnings()
     ):  # the arm's own integrator gives way to the scene's, which is what we want
@@ -88,16 +104,17 @@ def build_model(cell: Cell, bag: BagParameters) -> mujoco.MjModel:
         scene.attach(arm_spec(), prefix=ARM, frame=scene.worldbody.add_frame())
         model = scene.compile()
     rng = np.random.default_rng([0x7AB1E, cell.number])
-    _paint(model, "table", table_top(rng, cell.table_color, cell.table_grain))
-    _paint(model, "cloth", cloth(rng, bag.color, bag.weave))
+    paint(model, "table", table_top(rng, cell.table_color, cell.table_grain))
+    paint(model, "cloth", cloth(rng, bag.color, bag.weave))
     return model
 
 
 def arm_spec() -> mujoco.MjSpec:
     """The FR3 with its hand as `franky-sim` ships it, with what a real one has besides.
 
-    Added: gravity compensation, a grip as firm as a Franka hand's, a tool site, a wrist force sensor, and the
-    calibration paddle (a coloured disk the hand can hold out in front of the fingertips; hidden until asked for).
+    Added: gravity compensation, a grip as firm as a Franka hand's, a tool site, a wrist force sensor, and what the hand
+    can hold out in front of the fingertips, hidden until asked for: the calibration paddle (a coloured disk) and a
+    printed plate.
     """
     assets = Path(str(files("franky_sim"))) / "assets"
     spec = mujoco.MjSpec.from_file(str(assets / "fr3.xml"))
@@ -125,6 +142,9 @@ def arm_spec() -> mujoco.MjSpec:
         conaffinity=0,
         mass=0,
     )
+    plate = add_printed(spec, hand, PLATE, PLATE_SIZE_M, PLATE_TEXTURE)
+    plate.pos = T_HAND_PLATE[:3, 3] + [0, 0, TOOL_OFFSET_M]
+    mujoco.mju_mat2Quat(plate.quat, T_HAND_PLATE[:3, :3].ravel())
     spec.add_sensor(
         name="wrist",
         type=mujoco.mjtSensor.mjSENS_FORCE,
@@ -135,15 +155,23 @@ def arm_spec() -> mujoco.MjSpec:
 
 
 def _add_camera(scene: mujoco.MjSpec, cell: Cell) -> None:
-    # MuJoCo's camera looks along -z with y up; OpenCV's along +z with y down.
-    rotation: FloatArray = cell.camera_rotation @ np.diag([1.0, -1.0, -1.0])
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
     scene.worldbody.add_camera(
-        name="top", pos=cell.camera_position, quat=quaternion, fovy=np.rad2deg(cell.lens.render_fovy)
+        name="top",
+        pos=cell.camera_position,
+        quat=camera_quaternion(cell),
+        fovy=np.rad2deg(cell.lens.render_fovy),
     )
 
 
-def _paint(model: mujoco.MjModel, texture: str, picture: np.ndarray) -> None:
+def camera_quaternion(cell: Cell) -> FloatArray:
+    """`(4,)`, w first: the turn of MuJoCo's camera, which looks along -z with y up; OpenCV's along +z with y down."""
+    rotation: FloatArray = cell.camera_rotation @ np.diag([1.0, -1.0, -1.0])
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    return quaternion
+
+
+def paint(model: mujoco.MjModel, texture: str, picture: Image) -> None:
+    """Put a picture `(H, W, 3)` in the place of a texture of that size."""
     start = model.tex_adr[model.texture(texture).id]
     model.tex_data[start : start + picture.size] = picture.ravel()

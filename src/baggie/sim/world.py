@@ -4,14 +4,35 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import FloatArray, PlanarPose, invert_transform
 from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import Cell
-from baggie.sim.scene import ARM, HOME, TIMESTEP_S, build_model
+from baggie.sim.scene import (
+    ARM,
+    HOME,
+    T_HAND_PLATE,
+    TIMESTEP_S,
+    build_model,
+    camera_quaternion,
+    paint,
+)
+from baggie.sim.targets import (
+    PLATE,
+    PLATE_SIZE_M,
+    PLATE_TEXTURE,
+    SHEET,
+    SHEET_SIZE_M,
+    SHEET_TEXTURE,
+    T_sheet_target,
+    texture,
+)
+from baggie.vision.targets import Target
 
 SETTLE_S = 1.0
 MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
@@ -33,6 +54,8 @@ class World:
         self.data = mujoco.MjData(self.model)
         self.watchers: list[Callable[[], None]] = []
         """Called after every control period; a film camera is one."""
+        self.printed: dict[str, tuple[Target, float]] = {}
+        """By the texture's name, the target last printed and its scale; renderers keep copies of textures."""
         nodes = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("bag")]
         self._node_joints = np.array([self.model.body_jntadr[b] + np.arange(3) for b in nodes])
         self._node_home = self.model.body_pos[nodes].copy()
@@ -100,6 +123,13 @@ class World:
         """Command joint positions `(7,)` radians that move with `velocity` `(7,)` rad/s."""
         self.data.ctrl[self._arm_ctrl] = q + self._lag * velocity
 
+    def put_joints(self, q: FloatArray) -> None:
+        """Put the arm at joint positions `(7,)` radians, at rest there, without time passing."""
+        self.data.qpos[self._arm_q] = q
+        self.data.qvel[self._arm_dofs] = 0.0
+        self.set_joints(q, np.zeros(7))
+        mujoco.mj_forward(self.model, self.data)
+
     @property
     def finger_width(self) -> float:
         """Metres between the fingers."""
@@ -120,7 +150,7 @@ class World:
         force = self.data.sensordata[self._wrist : self._wrist + 3]
         return float(-(self.data.site_xmat[self._wrist_site].reshape(3, 3) @ force)[2])
 
-    # -- bag and card -------------------------------------------------------------------------------------------
+    # -- bag, card and printed sheets --------------------------------------------------------------------------
 
     def put_bag(self, pose: PlanarPose, height: float = 0.02) -> None:
         """Lay the bag, undented and at rest, with its centre `height` metres above the table."""
@@ -154,6 +184,76 @@ class World:
         self.data.mocap_quat[card] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         mujoco.mj_forward(self.model, self.data)
 
+    def show_sheet(self, target: Target, T_base_target: FloatArray, scale: float = 1.0) -> None:
+        """Print a target, `scale` times too large, on the sheet, its own frame at `T_base_target` `(4, 4)`.
+
+        Raises `BaggieError` where it does not fit.
+        """
+        self._print(SHEET, target, scale, SHEET_SIZE_M, SHEET_TEXTURE)
+        T_base_sheet = T_base_target @ invert_transform(T_sheet_target(target, scale))
+        sheet = int(self.model.body(SHEET).mocapid[0])
+        self.data.mocap_pos[sheet] = T_base_sheet[:3, 3]
+        mujoco.mju_mat2Quat(self.data.mocap_quat[sheet], T_base_sheet[:3, :3].ravel())
+        mujoco.mj_forward(self.model, self.data)
+
+    def hide_sheet(self) -> None:
+        """Take the printed sheet away."""
+        self.model.geom(SHEET).rgba[3] = 0.0
+
+    def show_plate(self, target: Target, scale: float = 1.0) -> FloatArray:
+        """Print a target, `scale` times too large, on the plate in the hand; `T_hand_target` `(4, 4)`.
+
+        Raises `BaggieError` where it does not fit.
+        """
+        self._print(ARM + PLATE, target, scale, PLATE_SIZE_M, PLATE_TEXTURE)
+        return T_HAND_PLATE @ T_sheet_target(target, scale)
+
+    def hide_plate(self) -> None:
+        """Take the printed plate out of the hand."""
+        self.model.geom(ARM + PLATE).rgba[3] = 0.0
+
     def show_paddle(self, shown: bool) -> None:
         """Put the calibration paddle into the hand, or take it away."""
         self.model.geom(f"{ARM}paddle").rgba[3] = 1.0 if shown else 0.0
+
+    # -- what gets bumped ---------------------------------------------------------------------------------------
+
+    def bump_camera(self, shift_m: FloatArray, turn_rad: FloatArray) -> None:
+        """Move the camera for good: `shift_m` `(3,)` along the base frame's axes, `turn_rad` `(3,)` about its own."""
+        self.cell = replace(
+            self.cell,
+            camera_position=self.cell.camera_position + shift_m,
+            camera_rotation=self.cell.camera_rotation @ Rotation.from_rotvec(turn_rad).as_matrix(),
+        )
+        camera = self.model.camera("top")
+        camera.pos[:], camera.quat[:] = self.cell.camera_position, camera_quaternion(self.cell)
+        mujoco.mj_forward(self.model, self.data)
+
+    def bump_table(self, motion: PlanarPose) -> None:
+        """Move the table's top for good, and bag, card and sheet with it; robot, camera and lamps stay.
+
+        Turned about the base frame's origin and then shifted: what was at `pose` is at `motion @ pose`.
+        """
+        turn = Rotation.from_euler("z", motion.yaw)
+        quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
+        top = self.model.geom("table_top")
+        for position, orientation in (
+            (top.pos, top.quat),
+            *zip(self.data.mocap_pos, self.data.mocap_quat, strict=True),
+        ):
+            position[:] = turn.apply(position) + shift
+            mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
+        joints, dofs = self.model.jnt_qposadr[self._node_joints], self.model.jnt_dofadr[self._node_joints]
+        nodes = self._node_home + self.data.qpos[joints]
+        self.data.qpos[joints] = turn.apply(nodes) + shift - self._node_home
+        self.data.qvel[dofs] = turn.apply(self.data.qvel[dofs])
+        mujoco.mj_forward(self.model, self.data)
+
+    def _print(
+        self, name: str, target: Target, scale: float, size_m: tuple[float, float], shape: tuple[int, int]
+    ) -> None:
+        """Print a target on the sheet or plate of this name, unless it is on it already, and show it."""
+        if self.printed.get(name) != (target, scale):
+            paint(self.model, name, texture(target, size_m, shape, scale))
+            self.printed[name] = (target, scale)
+        self.model.geom(name).rgba[3] = 1.0

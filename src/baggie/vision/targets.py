@@ -6,6 +6,7 @@ marker, its middle), x runs right along the print, y down it, z into the paper. 
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,9 +19,12 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
+from baggie.vision.saddle import refine_saddles
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""
+_MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
+"""Within which a corner is looked for again."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +98,21 @@ class Charuco:
         return found or other
 
     def _detect_as_laid_out(self, image: Image) -> Seen | None:
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(self.board).detectBoard(_grey(image))
+        grey = _grey(image)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(self.board).detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
         index = np.asarray(ids.ravel(), np.int64)
-        return Seen(index, np.asarray(corners, float).reshape(-1, 2), self.points[index])
+        pixels = np.asarray(corners, float).reshape(-1, 2)
+        return Seen(index, refine_saddles(grey, pixels, self._clear_px(pixels)), self.points[index])
+
+    def _clear_px(self, pixels: FloatArray) -> int:
+        """How far around its corners there is nothing but squares, pixels: to the markers' own corners."""
+        apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
+        np.fill_diagonal(apart, np.inf)
+        square_px = float(np.median(apart.min(axis=1)))
+        clear = (self.square_m - self.marker_m) / 2 * math.sqrt(2) / self.square_m * square_px
+        return int(np.clip(clear, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
 
     def why_not(self, image: Image) -> str:
         """Markers of another dictionary, a mirrored picture, too few corners, or nothing at all."""
@@ -141,6 +155,9 @@ class Chessboard:
                 if found:
                     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
                     corners = cv2.cornerSubPix(grey, corners, (5, 5), (-1, -1), stop)
+                    if (board.columns + board.rows) % 2:
+                        # Its two ends differ then: this function counts from the black one, the other from the white.
+                        corners = corners[::-1]
             if found:
                 pixels = np.asarray(corners, float).reshape(-1, 2)
                 return Seen(np.arange(len(pixels), dtype=np.int64), pixels, board.points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from baggie.geometry import ToolPose
+from baggie.geometry import FloatArray, ToolPose, hand_matrix
 
 
 @dataclass(frozen=True)
@@ -62,3 +62,17 @@ class Arm(Protocol):
     def stop(self) -> None:
         """Stop moving, now."""
         ...
+
+
+@runtime_checkable
+class LedArm(Protocol):
+    """An arm a person can lead by hand."""
+
+    def hand_pose(self) -> FloatArray:
+        """`T_base_hand` `(4, 4)` wherever it has been led, tilted too. The hand's frame: `geometry.hand_matrix`."""
+        ...
+
+
+def hand_pose(arm: Arm) -> FloatArray:
+    """`T_base_hand` `(4, 4)` of any arm: the tool of one that cannot be led always points straight down."""
+    return arm.hand_pose() if isinstance(arm, LedArm) else hand_matrix(arm.pose())

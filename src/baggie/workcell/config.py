@@ -9,9 +9,14 @@ from typing import Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from baggie.calibration.camera_calibration import CameraCalibration
+from baggie.calibration.camera_to_robot import CameraToRobot
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
 from baggie.sim.bag import BagParameters
+from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -36,6 +41,15 @@ class Bag(_Section):
     color: tuple[int, int, int] = (196, 40, 44)
 
 
+class CalibrationFiles(_Section):
+    """Where the calibrations are, from the workcell file's own folder. Each is refused for another camera."""
+
+    intrinsics: Path | None = None
+    image_to_robot: Path | None = None
+    camera_to_robot: Path | None = None
+    """Of `robot-to-world --camera-to-world`, or of `hand-eye` with a fixed camera."""
+
+
 class WorkcellFile(_Section):
     """The whole file. `arm: sim` is the one kind of arm so far."""
 
@@ -43,15 +57,17 @@ class WorkcellFile(_Section):
     cell: int = Field(0, ge=0)
     workspace: Bounds = Bounds()
     bag: Bag = Bag()
+    calibrations: CalibrationFiles = CalibrationFiles()
 
 
-def open_workcell(source: str | Path) -> Workcell:
-    """The workcell a YAML file describes, or `"sim"` for the simulated one.
+def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
+    """The workcell a YAML file describes, or `"sim"` for the simulated one with the number `cell`.
 
-    Raises `BaggieError` naming the file and the entry when it cannot be used.
+    Raises `BaggieError` naming the file and the entry when it cannot be used, `CalibrationError` when a calibration it
+    points to is of another camera.
     """
     if str(source) == "sim":
-        return SimulatedWorkcell()
+        return SimulatedWorkcell(cell)
     written = read_workcell_file(Path(source))
     bag = BagParameters(
         length_m=written.bag.length_m,
@@ -68,7 +84,23 @@ def open_workcell(source: str | Path) -> Workcell:
         object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
         object_symmetry=4 if bag.length_m == bag.width_m else 2,
     )
-    return SimulatedWorkcell(written.cell, settings, bag)
+    opened = SimulatedWorkcell(written.cell, settings, bag)
+    identity = CameraIdentity(opened.camera.name, *opened.camera.size)
+    try:
+        opened.use(_load(written.calibrations, Path(source).parent, identity))
+    except BaggieError:
+        opened.close()
+        raise
+    return opened
+
+
+def _load(files: CalibrationFiles, folder: Path, camera: CameraIdentity) -> Calibrations:
+    lens, to_robot, pose = files.intrinsics, files.image_to_robot, files.camera_to_robot
+    return Calibrations(
+        CameraCalibration.load(folder / lens, camera) if lens else None,
+        ImageToRobot.load(folder / to_robot, camera) if to_robot else None,
+        CameraToRobot.load(folder / pose, camera) if pose else None,
+    )
 
 
 def read_workcell_file(path: Path) -> WorkcellFile:

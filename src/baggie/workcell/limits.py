@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from baggie.errors import LimitError
-from baggie.geometry import PlanarPose, Rectangle, ToolPose
-from baggie.workcell.arm import Arm, ArmInfo
+from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
+from baggie.workcell.arm import Arm, ArmInfo, hand_pose
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,10 @@ class GuardedArm:
     def pose(self) -> ToolPose:
         """Where the tool is now."""
         return self._arm.pose()
+
+    def hand_pose(self) -> FloatArray:
+        """`T_base_hand` `(4, 4)`: the function `hand_pose` of the arm."""
+        return hand_pose(self._arm)
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         """`Arm.move_to`, if target and speed are allowed."""

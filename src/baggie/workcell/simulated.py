@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from baggie.geometry import FloatArray, PlanarPose, ToolPose
 from baggie.sim.bag import BagParameters
@@ -18,6 +19,7 @@ from baggie.sim.scene import HOME, arm_spec
 from baggie.sim.sensor import Exposure
 from baggie.sim.world import MOVE_FORCE_N, World
 from baggie.types import Image, Intrinsics, Observation
+from baggie.vision.targets import Target
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -44,6 +46,17 @@ class SimulatedArm:
     def pose(self) -> ToolPose:
         """Where the tool is now, by forward kinematics of the measured joints."""
         return self._kinematics.tool_pose(self._world.joints)
+
+    def hand_pose(self) -> FloatArray:
+        """`T_base_hand` `(4, 4)`, by forward kinematics of the measured joints."""
+        return self._kinematics.hand_pose(self._world.joints)
+
+    def lead_to(self, T_base_hand: FloatArray) -> FloatArray:
+        """Put the hand at a pose `(4, 4)` at once, as a person would lead it there; the pose reached."""
+        q = self._kinematics.reach(self._world.joints, T_base_hand)
+        self._target = q
+        self._world.put_joints(q)
+        return self.hand_pose()
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         """Move along a straight line with minimum-jerk timing; returns once at rest."""
@@ -160,7 +173,7 @@ class SimulatedCamera:
 
     def look(self) -> Observation:
         """A picture of the world as it is now."""
-        return self._renderer.look(Exposure.random(self._rng), self._rng)
+        return replace(self._renderer.look(Exposure.random(self._rng), self._rng), intrinsics=self.intrinsics)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -186,6 +199,8 @@ class SimulatedWorkcell(Workcell):
         self._simulated_camera.reseed(self._rng.spawn(1)[0])
         self.show_paddle(False)
         self.lay_card(None)
+        self.hide_target()
+        self.hold_target(None)
         self.world.reset(self._random_pose())
         self._simulated_arm.reset()
         self.arm.park()
@@ -213,6 +228,43 @@ class SimulatedWorkcell(Workcell):
     def lay_card(self, pose: PlanarPose | None) -> None:
         """Lay the printed goal card, a thin green sheet of 13 cm, on the table, or take it away."""
         self.world.put_card(pose)
+
+    def show_target(self, target: Target, T_base_target: FloatArray, scale: float = 1.0) -> None:
+        """Put a target, printed `scale` times too large on an A3 sheet, where its own frame is at `T_base_target`.
+
+        `(4, 4)`. Raises `BaggieError` where the target does not fit the sheet.
+        """
+        self.world.show_sheet(target, T_base_target, scale)
+
+    def hide_target(self) -> None:
+        """Take the sheet away."""
+        self.world.hide_sheet()
+
+    def hold_target(self, target: Target | None, scale: float = 1.0) -> FloatArray:
+        """Put a target, printed on a plate that faces up, into the hand: `T_hand_target` `(4, 4)`, the truth.
+
+        None takes the plate away and gives the identity. The hand's frame: `geometry.hand_matrix`. Raises
+        `BaggieError` where the target does not fit the plate.
+        """
+        if target is None:
+            self.world.hide_plate()
+            return np.eye(4)
+        return self.world.show_plate(target, scale)
+
+    def lead_hand(self, T_base_hand: FloatArray) -> FloatArray:
+        """Lead the arm by hand until the hand is at `T_base_hand` `(4, 4)`, tilted or not; the pose really reached.
+
+        Raises `ReachError` where the arm does not reach.
+        """
+        return self._simulated_arm.lead_to(T_base_hand)
+
+    def bump_camera(self, shift_m: ArrayLike, turn_rad: ArrayLike) -> None:
+        """Knock the camera for good: `shift_m` `(3,)` in the base frame, `turn_rad` `(3,)` about its own axes."""
+        self.world.bump_camera(np.asarray(shift_m, float), np.asarray(turn_rad, float))
+
+    def bump_table(self, x: float, y: float, yaw: float) -> None:
+        """Knock the table for good: turned about the base frame's z and shifted, with everything that is on it."""
+        self.world.bump_table(PlanarPose(x, y, yaw))
 
     def rescue(self) -> bool:
         """What a person would do: lay the lost bag back on the table."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from baggie.errors import ReachError
 from baggie.geometry import Rectangle
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.workcell.arm import Arm
+from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.camera import Camera
 from baggie.workcell.limits import GuardedArm, Limits
 from baggie.workcell.primitives import Handling, pick, place
+
+if TYPE_CHECKING:
+    from baggie.workcell.watch import Watch
 
 
 @dataclass(frozen=True)
@@ -54,11 +59,27 @@ class Workcell:
         self.arm = GuardedArm(arm, settings.limits)
         self.camera = camera
         self.settings = settings
+        self.calibrations = Calibrations()
+        self.watch: Watch | None = None
+        """Given one, `look` raises `BumpedError` as soon as the camera or the table has moved."""
+
+    def use(self, calibrations: Calibrations) -> None:
+        """Take calibrations of this camera into use; its pictures say how its lens sees from now on."""
+        self.calibrations = calibrations
+        if calibrations.intrinsics is not None:
+            self.camera.intrinsics = calibrations.intrinsics.intrinsics
 
     def look(self) -> Observation:
-        """Move the arm out of view and take a picture."""
+        """Move the arm out of view and take a picture.
+
+        Raises `BumpedError`, where there is a watch, when that picture and the next show that camera or table moved.
+        """
         self.arm.park()
-        return self.camera.look()
+        observation = self.camera.look()
+        if self.watch is not None and self.watch.moved(observation.color):
+            observation = self.camera.look()  # somebody may have passed by
+            self.watch.check(observation.color)
+        return observation
 
     def execute(self, action: PickPlace) -> Outcome:
         """Pick, verify, place.

@@ -1,0 +1,155 @@
+"""A camera's calibration: its matrix and lens, how sure they are, and what they were fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baggie.calibration.factory import read_factory
+from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
+from baggie.calibration.lens_bundle import PARAMETERS
+from baggie.geometry import FloatArray
+from baggie.types import Intrinsics
+
+_KIND = "intrinsics"
+
+
+def _none() -> FloatArray:
+    return np.zeros((0, 2))
+
+
+@dataclass(frozen=True)
+class ViewError:
+    """How well one picture is explained."""
+
+    name: str
+    rms_px: float
+    corners: int
+    """How many of its corners took part."""
+    pixels: FloatArray = field(default_factory=_none, compare=False)
+    """`(N, 2)` (u, v): where they were seen. Not kept in a file."""
+    residuals_px: FloatArray = field(default_factory=_none, compare=False)
+    """`(N, 2)`: where they should appear, less where they were seen. Not kept in a file."""
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """The matrix and the lens of one camera at one resolution."""
+
+    camera: CameraIdentity
+    intrinsics: Intrinsics
+    covariance: FloatArray | None
+    """`(9, 9)` of fx, fy, cx, cy, k1, k2, p1, p2, k3; zero where a term was held; None from the factory."""
+    terms: tuple[str, ...]
+    """The distortion terms that were fitted; the others are zero."""
+    rms_px: float | None
+    """Of the corners it was fitted to; None from the factory."""
+    held_out_rms_px: float | None
+    """Of corners in views it was not fitted to, by cross-validation: what to expect of a new picture."""
+    views: tuple[ViewError, ...]
+    dropped: tuple[tuple[str, str], ...]
+    """Pictures left out, each with the reason why."""
+    warnings: tuple[str, ...]
+    target: str
+    """The board, as `parse_target` reads it; empty from the factory."""
+    source: str
+    """What it was made from."""
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """By parameter: `fx_px`, `fy_px`, `cx_px`, `cy_px`, `k1`, ...; empty from the factory."""
+        if self.covariance is None:
+            return {}
+        names = [f"{name}_px" if name[0] in "fc" else name for name in PARAMETERS]
+        return dict(zip(names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def summary(self) -> dict[str, Any]:
+        """What a person or a script wants to know, ready for JSON."""
+        return {
+            "camera": self.camera.to_yaml(),
+            "camera_matrix": self.intrinsics.matrix.tolist(),
+            "distortion": self.intrinsics.distortion.tolist(),
+            "terms": list(self.terms),
+            "rms_px": self.rms_px,
+            "held_out_rms_px": self.held_out_rms_px,
+            "standard_deviations": self.standard_deviations,
+            "views": [{"view": v.name, "rms_px": v.rms_px, "corners": v.corners} for v in self.views],
+            "dropped": [{"view": name, "why": why} for name, why in self.dropped],
+            "warnings": list(self.warnings),
+        }
+
+    def save(self, path: Path) -> None:
+        """Write readable YAML; floats keep every digit. Raises `DataError` when it cannot be written."""
+        content = {
+            "units": "pixels (u, v) with centres at integers; distortion in OpenCV's order",
+            **self.summary(),
+            "covariance_of": list(PARAMETERS) if self.covariance is not None else None,
+            "covariance": self.covariance,
+            "board": self.target,
+            "source": self.source,
+        }
+        write_calibration(path, _KIND, content)
+
+    @classmethod
+    def load(cls, path: Path, camera: CameraIdentity | None = None) -> CameraCalibration:
+        """Read what `save` wrote.
+
+        Raises `DataError` when the file is missing, damaged or of another kind, `CalibrationError` when it is of
+        another camera than `camera`, or of another resolution.
+        """
+        content = read_calibration(path, _KIND)
+        try:
+            calibration = cls._from_yaml(content)
+        except (KeyError, TypeError, ValueError) as error:
+            raise broken(path, _KIND, error) from None
+        if camera is not None:
+            calibration.camera.check(camera, f"the calibration {path}")
+        return calibration
+
+    @classmethod
+    def _from_yaml(cls, content: Mapping[str, Any]) -> CameraCalibration:
+        camera = CameraIdentity.from_yaml(content["camera"])
+        matrix = np.array(content["camera_matrix"], float).reshape(3, 3)
+        distortion = np.array(content["distortion"], float).reshape(-1)
+        covariance = content["covariance"]
+        if covariance is not None:
+            covariance = np.array(covariance, float).reshape(len(PARAMETERS), len(PARAMETERS))
+        if not np.isfinite(matrix).all():
+            raise ValueError("camera_matrix is not finite")
+        return cls(
+            camera=camera,
+            intrinsics=Intrinsics(*camera.size, matrix, distortion),
+            covariance=covariance,
+            terms=tuple(map(str, content["terms"])),
+            rms_px=_number(content["rms_px"]),
+            held_out_rms_px=_number(content["held_out_rms_px"]),
+            views=tuple(
+                ViewError(str(v["view"]), float(v["rms_px"]), int(v["corners"])) for v in content["views"]
+            ),
+            dropped=tuple((str(d["view"]), str(d["why"])) for d in content["dropped"]),
+            warnings=tuple(map(str, content["warnings"])),
+            target=str(content["board"]),
+            source=str(content["source"]),
+        )
+
+
+def import_intrinsics(path: Path, camera_name: str) -> CameraCalibration:
+    """The manufacturer's or another program's calibration, without covariance or errors: nobody says how good it is.
+
+    Reads ROS camera_info (YAML or JSON), RealSense (JSON) and OpenCV's FileStorage (YAML, XML or JSON).
+    Raises `DataError` for anything else, `CalibrationError` for lens models that are not supported.
+    """
+    intrinsics = read_factory(path)
+    camera = CameraIdentity(camera_name, intrinsics.width, intrinsics.height)
+    warning = f"taken from {path.name} unchecked; how exact it is, is not known"
+    return CameraCalibration(
+        camera, intrinsics, None, (), None, None, (), (), (warning,), "", f"factory file {path.name}"
+    )
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)

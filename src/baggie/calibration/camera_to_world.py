@@ -1,0 +1,277 @@
+"""Where a camera that stands still is in the world, from a printed target of known size that lies there.
+
+The world is the target's own, turned so that z points up, out of the paper: its origin is the target's, x runs right
+along the print, y up it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
+from baggie.calibration.flipped_pose import MeasuredDepth, odds
+from baggie.calibration.pose import PoseFit, both_planar_poses, fit_pose, residuals_px
+from baggie.calibration.still_frames import StillFrames, average
+from baggie.calibration.transform_yaml import pose_from_yaml, rigid_from_yaml, uncertainty_to_yaml
+from baggie.calibration.uncertain import UncertainTransform
+from baggie.errors import CalibrationError
+from baggie.geometry import FloatArray, difference, invert_transform
+from baggie.types import Intrinsics
+from baggie.vision.targets import MIN_CORNERS, Chessboard, Marker, Seen, Target
+
+T_WORLD_TARGET: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0])
+"""`(4, 4)`: the target's frame, z into the paper, in a world with z up and the same origin and x."""
+
+_KIND = "camera-to-world"
+_MAX_RMS_PX = 1.5
+_MIN_ANGLE_DEG = 15.0
+_EXACT_PX = 1e-9
+_MIN_ODDS = 99.0
+_MAX_SCALE_OFF = 0.015
+_MAX_STD_MM, _MAX_STD_DEG = 5.0, 0.5
+"""Beyond, a person is told; a bag is found to a few millimetres."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture, against the pose fitted to all of them."""
+
+    name: str
+    corners: int
+    moved_px: float
+    """Median distance of its corners from where they are in most frames."""
+    rms_px: float
+    """Of its corners' distances from where the pose says they are."""
+    used: bool
+
+
+@dataclass(frozen=True)
+class CameraToWorld:
+    """The pose of a camera in the world, and what speaks for it."""
+
+    camera: CameraIdentity
+    pose: UncertainTransform
+    """`T_world_camera`, metres; OpenCV's camera axes."""
+    T_world_target: FloatArray
+    """`(4, 4)`, taken as exact: it is what makes this the world."""
+    target: str
+    """As `parse_target` reads it."""
+    frames: tuple[Frame, ...]
+    corners: int
+    """Averaged over the frames used, and in agreement with the pose."""
+    rms_px: float
+    flipped_ratio: float
+    """How many times worse the mirrored pose of a flat target explains the corners; 1 means no way to tell."""
+    depth_ratio: float | None
+    """Depth measured over the target, over what the pose says; None without depth images."""
+    warnings: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """What a person or a script wants to know, ready for JSON."""
+        return {
+            "T_world_camera": self.pose.transform.tolist(),
+            "uncertainty": {"std_mm": self.pose.std_mm, "std_deg": self.pose.std_deg},
+            "target": self.target,
+            "rms_px": self.rms_px,
+            "corners": self.corners,
+            "flipped_ratio": self.flipped_ratio,
+            "depth_ratio": self.depth_ratio,
+            "pictures": [asdict(frame) for frame in self.frames],
+            "warnings": list(self.warnings),
+        }
+
+    def save(self, path: Path) -> None:
+        """Write readable YAML. Raises `DataError` when it cannot be written."""
+        content = {
+            "camera": self.camera.to_yaml(),
+            "frames": "world: z up, out of the paper; camera: x right, y down, z ahead",
+            "units": "metres, radians, pixels",
+            **self.summary(),
+            "T_world_target": self.T_world_target,
+            "uncertainty": uncertainty_to_yaml(self.pose),
+        }
+        write_calibration(path, _KIND, content)
+
+    @classmethod
+    def load(cls, path: Path, camera: CameraIdentity | None = None) -> CameraToWorld:
+        """Read what `save` wrote; with `camera`, only a calibration of that one.
+
+        Raises `DataError` for a missing or damaged file, `CalibrationError` for another camera or resolution.
+        """
+        content = read_calibration(path, _KIND)
+        try:
+            ratio = content["depth_ratio"]
+            result = cls(
+                CameraIdentity.from_yaml(content["camera"]),
+                pose_from_yaml(content, "T_world_camera"),
+                rigid_from_yaml(content, "T_world_target"),
+                str(content["target"]),
+                tuple(Frame(**frame) for frame in content["pictures"]),
+                int(content["corners"]),
+                float(content["rms_px"]),
+                float(content["flipped_ratio"]),
+                None if ratio is None else float(ratio),
+                tuple(map(str, content["warnings"])),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise broken(path, _KIND, error) from None
+        if camera is not None:
+            result.camera.check(camera, f"the calibration in {path}")
+        return result
+
+
+def fit_camera_to_world(
+    frames: Sequence[Seen],
+    target: Target,
+    camera: CameraIdentity,
+    intrinsics: Intrinsics,
+    intrinsics_covariance: FloatArray | None = None,
+    *,
+    T_world_target: FloatArray = T_WORLD_TARGET,
+    depths: Sequence[NDArray[np.float32]] = (),
+    names: Sequence[str] = (),
+) -> CameraToWorld:
+    """Fit `T_world_camera` to a target seen in one or more pictures of a camera that stands still.
+
+    Corners are averaged over the frames before the fit: what is wrong in all of them alike then shows in the
+    residuals, and so in the uncertainty. `intrinsics_covariance` `(4 + D, 4 + D)` is that of fx, fy, cx, cy and the
+    distortion. `depths` are images `(H, W)` of the same camera, metres along its optical axis, 0 where unknown; they
+    settle which of a flat target's two poses is the true one, and whether it was printed at its stated size. `names`
+    are the pictures'; without, they are counted from 0.
+
+    Raises `CalibrationError` when the pose cannot be trusted: see each message for what to do.
+    """
+    CameraIdentity(camera.name, intrinsics.width, intrinsics.height).check(camera, "the lens calibration")
+    _check_pictures(frames, camera, depths)
+    names = names or [str(number) for number in range(len(frames))]
+    still = average(frames, 4 if isinstance(target, Marker) else MIN_CORNERS)
+    first = fit_pose(still.points, still.pixels, intrinsics)
+    corners = still.points[first.inliers]
+    poses = both_planar_poses(corners, still.pixels[first.inliers], intrinsics)
+    (pose, error), (flipped, flipped_error) = poses[0], poses[-1]
+    _check_view(pose, corners)
+    measured = MeasuredDepth.over(corners, pose, intrinsics, depths) if depths else None
+    fit = fit_pose(still.points, still.pixels, intrinsics, intrinsics_covariance, start=pose)
+    if fit.rms_px > _MAX_RMS_PX:
+        raise CalibrationError(
+            f"expected corners within {_MAX_RMS_PX} px (RMS) of where the pose says they are, got {fit.rms_px:.1f} px; "
+            f"check that the target is flat and is {target.spec}, and that the lens calibration is this camera's"
+        )
+    if odds(error, flipped_error, len(corners)) < _MIN_ODDS and not fit.pose.holds(flipped):
+        pose = _by_depth(measured, poses)
+        fit = fit_pose(still.points, still.pixels, intrinsics, intrinsics_covariance, start=pose)
+    depth_ratio = measured.ratio(fit.pose.transform) if measured else None
+    pose_in_world = (
+        UncertainTransform(np.asarray(T_world_target, float), np.zeros((6, 6))) @ fit.pose.inverse()
+    )
+    judged = tuple(_judge(names, frames, still, fit.pose.transform, intrinsics))
+    return CameraToWorld(
+        camera,
+        pose_in_world,
+        np.asarray(T_world_target, float),
+        target.spec,
+        judged,
+        int(fit.inliers.sum()),
+        fit.rms_px,
+        max(flipped_error, _EXACT_PX) / max(error, _EXACT_PX),
+        depth_ratio,
+        tuple(_warnings(target, judged, fit, pose_in_world, depth_ratio)),
+    )
+
+
+def _check_pictures(
+    frames: Sequence[Seen], camera: CameraIdentity, depths: Sequence[NDArray[np.float32]]
+) -> None:
+    if not frames:
+        raise CalibrationError(
+            "expected at least one picture with the target in it, got none; show it to the camera"
+        )
+    wrong = {(depth.shape[1], depth.shape[0]) for depth in depths} - {camera.size}
+    if wrong:
+        raise CalibrationError(
+            f"expected depth images of {camera.width} x {camera.height} pixels, aligned with colour, got "
+            f"{' and '.join(f'{w} x {h}' for w, h in wrong)}; have the camera's driver align them"
+        )
+
+
+def _check_view(pose: FloatArray, corners: FloatArray) -> None:
+    position = invert_transform(pose)[:3, 3]
+    if position[2] > 0:
+        raise CalibrationError(
+            "expected to see the printed side, but the corners are as seen from behind the paper; switch the mirroring "
+            "of the camera or its driver off"
+        )
+    sight = corners.mean(axis=0) - position
+    angle = np.degrees(np.arcsin(abs(position[2]) / np.linalg.norm(sight)))
+    if angle < _MIN_ANGLE_DEG:
+        raise CalibrationError(
+            f"expected to see the target at {_MIN_ANGLE_DEG:.0f} degrees from its paper or more, got {angle:.0f}; "
+            "tilt it towards the camera, or lay it where the camera sees it from above"
+        )
+
+
+def _by_depth(measured: MeasuredDepth | None, poses: Sequence[tuple[FloatArray, float]]) -> FloatArray:
+    (pose, error), (flipped, flipped_error) = poses
+    chosen = measured.choose(pose, flipped) if measured else None
+    if chosen is None:
+        apart = np.degrees(difference(pose, flipped)[1])
+        raise CalibrationError(
+            f"expected one pose to explain the corners, but two do, {apart:.0f} degrees apart, with errors of "
+            f"{error:.2f} and {flipped_error:.2f} px; use a larger target, nearer or seen more from the side, "
+            "or a camera with depth"
+        )
+    return chosen
+
+
+def _judge(
+    names: Sequence[str],
+    frames: Sequence[Seen],
+    still: StillFrames,
+    pose: FloatArray,
+    intrinsics: Intrinsics,
+) -> Iterator[Frame]:
+    for name, seen, moved, used in zip(
+        names, frames, still.moved_px.tolist(), still.used.tolist(), strict=True
+    ):
+        error = residuals_px(pose, seen.points, seen.pixels, intrinsics)
+        rms = float(np.sqrt((error**2).sum(axis=1).mean()))
+        yield Frame(name, len(seen.ids), moved, rms, used)
+
+
+def _warnings(
+    target: Target,
+    frames: Sequence[Frame],
+    fit: PoseFit,
+    pose: UncertainTransform,
+    depth_ratio: float | None,
+) -> Iterator[str]:
+    moved = [frame for frame in frames if not frame.used]
+    if moved:
+        yield (
+            f"pictures {', '.join(frame.name for frame in moved)} were left out: their corners moved, by up to "
+            f"{max(frame.moved_px for frame in moved):.1f} px; fix the camera and the target in place"
+        )
+    wrong = int((~fit.inliers).sum())
+    if wrong:
+        yield f"{wrong} of {len(fit.inliers)} corners are not where the pose says and were left out; look for glare"
+    if isinstance(target, Chessboard) and (target.columns + target.rows) % 2 == 0:
+        yield (
+            "this chessboard looks the same turned by half a turn, so the world's origin may be at the other end; "
+            "print one with an odd sum of columns and rows, or a ChArUco board"
+        )
+    if depth_ratio is not None and abs(depth_ratio - 1) > _MAX_SCALE_OFF:
+        yield (
+            f"the target seems to be printed at {100 * depth_ratio:.0f}% of its stated size, as depth has it; "
+            "measure it and state what it measures"
+        )
+    if pose.std_mm > _MAX_STD_MM or pose.std_deg > _MAX_STD_DEG:
+        yield (
+            f"the camera's pose is known to {pose.std_mm:.1f} mm and {pose.std_deg:.2f} degrees only "
+            "(one standard deviation); use a larger target, or one nearer"
+        )

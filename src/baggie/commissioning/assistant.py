@@ -1,0 +1,115 @@
+"""Who does by hand what the robot cannot do by itself: a person at the terminal.
+
+In the simulator, `simulated_assistant.py` does the same things in the world.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from rich.console import Console
+
+from baggie.geometry import FloatArray
+from baggie.vision.targets import Target
+
+
+class Assistant(Protocol):
+    """Each method returns when it is done; `words` say what to do, in one or two sentences."""
+
+    def show(self, target: Target, words: str) -> None:
+        """Hold a board in front of the camera, somewhere else than before."""
+        ...
+
+    def clear_table(self) -> None:
+        """Take everything off the table."""
+        ...
+
+    def lay(self, target: Target, words: str) -> None:
+        """Lay a target flat on the table."""
+        ...
+
+    def hold(self, target: Target, words: str) -> None:
+        """Fix a target to the hand."""
+        ...
+
+    def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
+        """Lead the arm by hand: to about this pose `(4, 4)`, or as the words say."""
+        ...
+
+    def touch(self, target: Target, point: FloatArray, words: str) -> None:
+        """Lead the tip of the probe onto a point `(3,)`, in the world's frame, of the target that lies on the table."""
+        ...
+
+    def measure_touch(self, words: str) -> FloatArray | None:
+        """How far the tip is from the middle of the target it was sent to: `(2,)` metres, base frame.
+
+        None where nobody can tell.
+        """
+        ...
+
+    def put_away(self) -> None:
+        """Take targets out of hand and view."""
+        ...
+
+
+class PersonAtTerminal:
+    """Prints what to do and waits for Enter. Ctrl-C stops; what was recorded by then stays."""
+
+    def __init__(self, ask: Callable[[str], str] | None = None) -> None:
+        """`ask` prints a prompt and returns the answer; the terminal unless given."""
+        self._console = Console(stderr=True)
+        self._ask = ask or self._ask_terminal
+        self._last = ""
+
+    def show(self, target: Target, words: str) -> None:
+        """Say what to show next; pictures are taken by themselves, so nobody has to press a key with full hands."""
+        if words != self._last:
+            self._console.print(f"[bold]→[/] {words}")
+            self._last = words
+
+    def clear_table(self) -> None:
+        """Ask, and wait."""
+        self._ask("take everything off the table")
+
+    def lay(self, target: Target, words: str) -> None:
+        """Ask, and wait."""
+        self._ask(words)
+
+    def hold(self, target: Target, words: str) -> None:
+        """Ask, and wait."""
+        self._ask(words)
+
+    def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
+        """Ask, and wait."""
+        self._ask(words)
+
+    def touch(self, target: Target, point: FloatArray, words: str) -> None:
+        """Ask, and wait."""
+        self._ask(words)
+
+    def measure_touch(self, words: str) -> FloatArray | None:
+        """Ask for two numbers in millimetres."""
+        answer = self._ask(
+            f"{words}: type how far the tip is off, forward and left, in mm (such as 1 -0.5), or nothing"
+        )
+        try:
+            forward, left = (float(word) / 1000 for word in answer.split())
+        except ValueError:
+            return None
+        return np.array([forward, left])
+
+    def put_away(self) -> None:
+        """Ask, and wait."""
+        self._ask("take the target away")
+
+    def _ask_terminal(self, words: str) -> str:
+        if not sys.stdin.isatty():
+            self._console.print(f"[bold]→[/] {words}")
+            line = sys.stdin.readline()
+            if not line:
+                raise KeyboardInterrupt("nobody is at the terminal; the same command again goes on")
+            return line.strip()
+        return self._console.input(f"[bold]→[/] {words}, then press Enter ").strip()

@@ -1,0 +1,174 @@
+"""`baggie calibrate check`: how far off a map from the picture to the robot is today."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baggie import seeds
+from baggie.calibration.image_to_robot import ImageToRobot, compare
+from baggie.calibration.image_to_robot_picture import draw_comparison
+from baggie.commissioning.bench import Bench, LiveOptions, open_bench
+from baggie.commissioning.image_to_robot import MARGIN_M
+from baggie.commissioning.points import marker_finder, parse_marker, visit
+from baggie.commissioning.printed import HAND_MARKER, TABLE_MARKER
+from baggie.errors import BaggieError, CalibrationError
+from baggie.geometry import FloatArray, ToolPose, transform_points
+from baggie.vision.picture_files import read_picture
+from baggie.vision.targets import Marker, parse_target
+from baggie.workcell.watch import REFERENCE_FILE, Watch
+
+_TOUCH_Z_M = 0.02
+_SPEED_M_S = 0.3
+_HOVER_M = 0.15
+
+
+@dataclass(frozen=True)
+class CheckOptions(LiveOptions):
+    """What to check, and how."""
+
+    map: Path = Path("image-to-robot.yaml")
+    """The calibration to check."""
+    points: int = 8
+    """How many points the marker in the hand is taken to, other ones than the map was made from."""
+    touches: int = 3
+    """How often the marker on the table is touched; somebody says, or the simulator knows, how far off."""
+    limit_mm: float = 3.0
+    """A mean error above this is a failure: the exit status is 1."""
+    marker: str = HAND_MARKER
+    """In the hand, as for `image-to-robot`."""
+    marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
+    """As for `image-to-robot`."""
+    table_marker: str = TABLE_MARKER
+    """Laid on the table and touched."""
+    against: str | None = None
+    """Instead of moving anything, compare the map with another one (a calibration file), or with what a trained
+    `keypoint` policy has learned (a run's folder)."""
+
+
+def check_calibration(options: CheckOptions) -> dict[str, Any]:
+    """Measure and report, ready for JSON. Raises `CalibrationError` when the error is above the limit."""
+    image_to_robot = ImageToRobot.load(options.map)
+    if options.against is not None:
+        return _compare(image_to_robot, options)
+    with open_bench(options) as bench:
+        image_to_robot.camera.check(bench.identity, str(options.map))
+        result = check_live(bench, image_to_robot, options)
+    worst = max(result[name]["mean"] for name in ("held_out_mm", "touch_mm") if name in result)
+    if worst > options.limit_mm:
+        raise CalibrationError(
+            f"{options.map} is off by {worst:.1f} mm on average, more than {options.limit_mm:g} mm; "
+            "calibrate again: baggie calibrate image-to-robot"
+        )
+    return result
+
+
+def check_live(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, Any]:
+    """Background, held-out points, touches: each as far as the map and the bench allow."""
+    bench.assistant.clear_table()
+    result: dict[str, Any] = {"map": str(options.map), "stated_std_mm": image_to_robot.std_mm}
+    reference = options.map.with_suffix("") / REFERENCE_FILE
+    if reference.exists():
+        moved = Watch(read_picture(reference)).moved_px(bench.look().color)
+        result["background_moved_px"] = moved
+    result["held_out_mm"] = _summary(_held_out(bench, image_to_robot, options))
+    touches = _touches(bench, image_to_robot, options)
+    if len(touches):
+        result["touch_mm"] = _summary(touches)
+    return result
+
+
+def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
+    """`(N, 2)` metres: where the map says the marker in the hand is, less where the arm says it is."""
+    cell, (find, marker) = bench.workcell(), parse_marker(options.marker)
+    if marker is not None:
+        bench.assistant.hold(marker, "fix the marker to the hand, facing up")
+    rng = seeds.generator(seeds.CALIBRATION, options.seed, 3)
+    low, high = min(image_to_robot.heights_m), max(image_to_robot.heights_m)
+    in_hand = np.array(options.marker_in_hand)
+    area = replace(cell.settings.workspace, x_min=cell.settings.limits.workspace.x_min + in_hand[0])
+    positions = np.array(
+        [[*area.sample(rng, MARGIN_M), rng.uniform(low, high)] for _ in range(options.points)]
+    )
+    errors = []
+    for number, hand, observation in visit(cell.arm, bench.camera, positions, in_hand):
+        pixel = find(observation.color)
+        if pixel is not None:
+            base = transform_points(hand, in_hand[None])[0]
+            at = image_to_robot.at_height(base[2]) if image_to_robot.height_aware else image_to_robot
+            error = at.to_robot(pixel)[0] - base[:2]
+            errors.append(error)
+            bench.say(f"point {number + 1} of {len(positions)}: {1000 * np.linalg.norm(error):.1f} mm off")
+    bench.assistant.put_away()
+    if not errors:
+        raise CalibrationError(
+            f"the marker {options.marker} was seen at none of the points; is it in the hand?"
+        )
+    return np.array(errors)
+
+
+def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
+    """`(N, 2)` metres: how far the fingertips came down from the middle of a marker on the table."""
+    cell, marker = bench.workcell(), parse_target(options.table_marker)
+    if not isinstance(marker, Marker):
+        raise BaggieError(
+            f"expected --table-marker aruco:DICTIONARY:NUMBER:SIZE, got {options.table_marker!r}"
+        )
+    if not image_to_robot.height_aware and abs(image_to_robot.height_m) > 0.005:
+        bench.say("the map is not good for the height of the table: nothing is touched")
+        return np.zeros((0, 2))
+    on_table = image_to_robot.at_height(0.0) if image_to_robot.height_aware else image_to_robot
+    find = marker_finder(marker)
+    errors = []
+    for number in range(options.touches):
+        bench.assistant.lay(
+            marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"
+        )
+        pixel = find(bench.look().color)
+        if pixel is None:
+            bench.say("the marker on the table is not seen")
+            continue
+        x, y = on_table.to_robot(pixel)[0]
+        cell.arm.move_to(ToolPose(x, y, _HOVER_M), _SPEED_M_S)
+        cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), _SPEED_M_S)
+        error = bench.assistant.measure_touch("the fingertips are where the marker's middle should be")
+        if error is not None:
+            errors.append(error)
+            bench.say(f"touch {number + 1} of {options.touches}: {1000 * np.linalg.norm(error):.1f} mm off")
+    bench.assistant.put_away()
+    cell.arm.park()
+    return np.array(errors).reshape(-1, 2)
+
+
+def _summary(errors: FloatArray) -> dict[str, float]:
+    lengths = 1000 * np.linalg.norm(errors, axis=1)
+    return {
+        "mean": float(lengths.mean()),
+        "rms": float(np.sqrt((lengths**2).mean())),
+        "max": float(lengths.max()),
+        "n": len(lengths),
+    }
+
+
+def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, Any]:
+    against = Path(str(options.against))
+    if against.is_dir():
+        from baggie.policies import load_policy  # noqa: PLC0415 -- PyTorch takes its time to import
+        from baggie.policies.keypoint import KeypointPolicy  # noqa: PLC0415
+        from baggie.policies.learned_map import as_calibration  # noqa: PLC0415
+
+        policy = load_policy(against)
+        if not isinstance(policy, KeypointPolicy):
+            raise BaggieError(
+                f"{against} holds a {policy.name} policy, which knows no map; give a keypoint policy's run"
+            )
+        other = as_calibration(policy)
+    else:
+        other = ImageToRobot.load(against)
+    comparison = compare(image_to_robot, other)
+    picture = options.map.with_name(f"{options.map.stem}-against-{against.stem}.png")
+    draw_comparison(comparison, picture)
+    return {"map": str(options.map), "against": str(against), "picture": str(picture), **comparison.summary()}

@@ -1,0 +1,125 @@
+"""`baggie calibrate hand-eye`: camera and hand together, from a board seen at many poses of the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from baggie import seeds
+from baggie.calibration.camera_calibration import CameraCalibration
+from baggie.calibration.hand_eye import solve_hand_eye
+from baggie.calibration.hand_eye_picture import draw_views
+from baggie.calibration.hand_eye_views import read_views
+from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
+from baggie.commissioning.printed import HAND_BOARD
+from baggie.commissioning.view_folder import ViewFolder
+from baggie.errors import CalibrationError, ReachError
+from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.vision.targets import parse_target
+from baggie.workcell.arm import hand_pose
+
+MAX_MISSES = 20
+"""Pictures in a row without the board before giving up."""
+
+
+@dataclass(frozen=True)
+class HandEyeOptions(LiveOptions):
+    """Where the views come from."""
+
+    out: Path = Path("hand-eye.yaml")
+    """The calibration to write. Beside it go a picture and, live, a folder of views."""
+    from_: From = None
+    """A recording: a folder with views.json (units, mount; T_base_hand and T_camera_board or image of each view)."""
+    keep_all: bool = False
+    """Use all views, also those that disagree with the others."""
+    intrinsics: Path = Path("camera.yaml")
+    """The camera's own calibration; live only, a recording brings its own."""
+    mount: Literal["fixed", "hand"] = "fixed"
+    """Live: the camera fixed and the board in the hand, or the camera on the hand and the board on the table."""
+    board: str = HAND_BOARD
+    """The board in the hand or on the table; live."""
+    views: int = 15
+    """How many to take, live."""
+
+
+def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+    folder = options.from_
+    if folder is None:
+        with open_bench(options) as bench:
+            folder = take_hand_eye_views(bench, options)
+    result = solve_hand_eye(read_views(folder), keep_all=options.keep_all)
+    result.save(options.out)
+    picture = options.out.with_suffix(".png")
+    draw_views(result, picture)
+    return {"calibration": str(options.out), "picture": str(picture), **result.summary()}
+
+
+def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
+    """Have the arm led from pose to pose, a picture at each; the folder of views, a recording like any other."""
+    cell, board = bench.workcell(), parse_target(options.board)
+    lens = CameraCalibration.load(options.intrinsics, bench.identity)
+    header = {
+        "units": "m",
+        "mount": options.mount,
+        "board": board.spec,
+        "camera": bench.identity.to_yaml(),
+        "camera_matrix": lens.intrinsics.matrix.tolist(),
+        "distortion": lens.intrinsics.distortion.tolist(),
+        "intrinsics_covariance": None if lens.covariance is None else lens.covariance.tolist(),
+    }
+    folder = ViewFolder(options.out.with_suffix(""), header)
+    bench.assistant.clear_table()
+    if options.mount == "fixed":
+        bench.assistant.hold(board, "fix the board to the hand, facing the camera")
+    else:
+        bench.assistant.lay(board, "lay the board flat on the table, where it stays")
+    missed = 0
+    rng = seeds.generator(seeds.CALIBRATION, options.seed, 2)
+    try:
+        while len(folder) < options.views:
+            count = f"view {len(folder) + 1} of {options.views}"
+            words = f"{count}: lead the hand elsewhere, tilted 15 to 30 degrees another way"
+            try:
+                bench.assistant.lead_to(random_hand_pose(cell.settings.workspace, rng), words)
+            except ReachError:
+                continue
+            picture = bench.camera.look().color
+            seen = board.detect(picture)
+            show_live(folder.folder, picture, seen, words)
+            if seen is None:
+                missed += 1
+                if missed == MAX_MISSES:
+                    raise CalibrationError(
+                        f"{MAX_MISSES} pictures in a row show no {board.spec}: {board.why_not(picture)}"
+                    )
+                bench.say(f"no board in this picture: {board.why_not(picture)}")
+                continue
+            missed = 0
+            folder.append({"T_base_hand": hand_pose(cell.arm).tolist()}, picture)
+            bench.say(f"view {len(folder)} of {options.views}: {len(seen.ids)} corners")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted with {len(folder)} of {options.views} views; the same command again goes on"
+        ) from None
+    bench.assistant.put_away()
+    return folder.folder
+
+
+def random_hand_pose(workspace: Rectangle, rng: np.random.Generator) -> FloatArray:
+    """`T_base_hand` `(4, 4)` on the robot's side of the workspace, pointing down but for a tilt of up to 30 degrees.
+
+    The board is held out in front of the hand, so it comes to lie over the workspace's middle, in full view.
+    """
+    x = workspace.x_min + rng.uniform(-0.05, 0.07)
+    y = 0.7 * rng.uniform(workspace.y_min, workspace.y_max)
+    direction = rng.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(direction), np.sin(direction), 0.0])
+    tilt = Rotation.from_rotvec(np.radians(rng.uniform(10, 30)) * axis)
+    yaw = Rotation.from_euler("z", rng.uniform(-40, 40), degrees=True)
+    down = np.diag([1.0, -1.0, -1.0])
+    return rigid((tilt * yaw).as_matrix() @ down, [x, y, rng.uniform(0.12, 0.30)])

@@ -1,0 +1,193 @@
+"""`baggie calibrate image-to-robot`: the arm drives itself over the workspace with a marker in its hand, and looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from baggie.calibration.camera_calibration import CameraCalibration
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot_picture import draw_residuals
+from baggie.calibration.marker_offset import check_marker_offset
+from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
+from baggie.commissioning.points import Find, grid, parse_marker, visit
+from baggie.commissioning.printed import HAND_MARKER
+from baggie.commissioning.view_folder import ViewFolder, read_views_file
+from baggie.errors import CalibrationError, DataError
+from baggie.geometry import FloatArray, transform_points
+from baggie.vision.picture_files import read_picture, write_picture
+from baggie.vision.targets import Seen
+from baggie.workcell.limits import Limits
+from baggie.workcell.watch import REFERENCE_FILE
+
+MARGIN_M = 0.03
+
+
+@dataclass(frozen=True)
+class ImageToRobotOptions(LiveOptions):
+    """Where the arm goes, and what it carries."""
+
+    out: Path = Path("image-to-robot.yaml")
+    """The calibration to write. Beside it go a picture of its residuals and, live, a folder of pictures."""
+    from_: From = None
+    """Points already taken: a folder with views.json: {"camera": {"name", "width", "height"}, "views": [{"T_base_hand":
+    4 x 4 or "base": [x, y, z] of the marker itself, "pixel": [u, v] or "image": "000.png"}, ...]}, metres."""
+    intrinsics: Path | None = None
+    """The camera's own calibration: the lens is then exact, and one height enough. Without it the lens is estimated."""
+    marker: str = HAND_MARKER
+    """What the hand carries: aruco:DICTIONARY:NUMBER:SIZE, or color:R,G,B for a coloured blob."""
+    marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
+    """The marker's middle in the tool's frame (x forward, y right, z down), metres."""
+    heights: tuple[float, ...] = (0.05, 0.15)
+    """At which the marker is carried, metres above the table. With one height and no intrinsics the map is right at
+    that height only."""
+    map_height: float = 0.0
+    """The height the saved map is right at, metres: 0 is the table, half an object's height its outline's."""
+    columns: int = 4
+    rows: int = 3
+    limit_mm: float = 5.0
+    """A map whose points disagree by more, each judged by a fit to the others (RMS), is refused."""
+
+
+def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+    if options.from_ is not None:
+        result = _fit_folder(options.from_, options)
+    else:
+        with open_bench(options) as bench:
+            result = calibrate_image_to_robot_live(bench, options)
+    result.save(options.out)
+    picture = options.out.with_suffix(".png")
+    draw_residuals(result, picture)
+    return {
+        "calibration": str(options.out),
+        "picture": str(picture),
+        **result.summary(),
+        "next": f"baggie calibrate check --map {options.out}",
+    }
+
+
+def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) -> ImageToRobot:
+    """Drive the marker over the grid; every point found is kept at once."""
+    cell, (find, marker) = bench.workcell(), parse_marker(options.marker)
+    header = {
+        "camera": bench.identity.to_yaml(),
+        "marker": options.marker,
+        "heights_m": options.heights,
+    }
+    folder = ViewFolder(options.out.with_suffix(""), header)
+    in_hand = np.array(options.marker_in_hand)
+    wanted = grid(cell.settings.workspace, MARGIN_M, options.heights, options.columns, options.rows)
+    wanted = _within_reach(wanted, in_hand, cell.settings.limits)
+    visited = {view["point"] for view in folder.views}
+    missing = np.array([number for number in range(len(wanted)) if number not in visited], int)
+    bench.assistant.clear_table()
+    write_picture(folder.folder / REFERENCE_FILE, bench.look().color)
+    if marker is not None:
+        bench.assistant.hold(
+            marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
+        )
+    columns = (
+        TextColumn("driving over the workspace"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    try:
+        with Progress(*columns, console=bench.console) as progress:
+            bar = progress.add_task("", total=len(wanted), completed=len(visited))
+            for number, hand, observation in visit(cell.arm, bench.camera, wanted[missing], in_hand):
+                pixel = find(observation.color)
+                words = f"point {missing[number] + 1} of {len(wanted)}: " + (
+                    "no marker" if pixel is None else "found"
+                )
+                show_live(folder.folder, observation.color, _as_seen(pixel), words)
+                if pixel is not None:
+                    view = {
+                        "point": int(missing[number]),
+                        "T_base_hand": hand.tolist(),
+                        "pixel": pixel.tolist(),
+                    }
+                    folder.append(view, observation.color)
+                progress.advance(bar)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted after {len(folder)} of {len(wanted)} points; the same command again goes on"
+        ) from None
+    bench.assistant.put_away()
+    cell.arm.park()
+    return _fit(folder.views, bench.identity, options)
+
+
+def _within_reach(positions: FloatArray, marker_in_hand: FloatArray, limits: Limits) -> FloatArray:
+    """The positions moved in so far that the hand behind the marker stays within its limits near the table."""
+    nearest = limits.workspace.x_min + marker_in_hand[0] + 0.005
+    return np.column_stack([np.maximum(positions[:, 0], nearest), positions[:, 1:]])
+
+
+def _as_seen(pixel: FloatArray | None) -> Seen | None:
+    return None if pixel is None else Seen(np.zeros(1, np.int64), pixel[None], np.zeros((1, 3)))
+
+
+def _fit_folder(folder: Path, options: ImageToRobotOptions) -> ImageToRobot:
+    content = read_views_file(folder)
+    try:
+        camera = CameraIdentity.from_yaml(content["camera"])
+    except (KeyError, TypeError, ValueError):
+        raise DataError(f"expected `camera` with name, width and height in {folder}/views.json") from None
+    find, _ = parse_marker(content.get("marker", options.marker))
+    views = [view if "pixel" in view else _found(view, folder, find, camera) for view in content["views"]]
+    return _fit([view for view in views if view], camera, options)
+
+
+def _found(view: dict[str, Any], folder: Path, find: Find, camera: CameraIdentity) -> dict[str, Any]:
+    picture = read_picture(folder / str(view.get("image")))
+    height, width = picture.shape[:2]
+    camera.check(CameraIdentity(camera.name, width, height), f"the recording {folder}")
+    pixel = find(picture)
+    return {} if pixel is None else {**view, "pixel": pixel.tolist()}
+
+
+def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRobotOptions) -> ImageToRobot:
+    if not views:
+        raise CalibrationError(
+            f"the marker {options.marker} was seen in no picture; check that it is printed as written, faces the "
+            "camera and is not covered by the hand"
+        )
+    try:
+        pixels = np.array([view["pixel"] for view in views], float).reshape(-1, 2)
+        hands = np.array([view["T_base_hand"] for view in views if "T_base_hand" in view], float).reshape(
+            -1, 4, 4
+        )
+        robot = np.array([_marker(view, options.marker_in_hand) for view in views]).reshape(-1, 3)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"expected views with T_base_hand (or base) and pixel (or image), got {error!r}"
+        ) from None
+    lens = None if options.intrinsics is None else CameraCalibration.load(options.intrinsics, camera)
+    fit = partial(
+        ImageToRobot.fit,
+        pixels,
+        camera=camera,
+        intrinsics=lens.intrinsics if lens else None,
+        intrinsics_covariance=lens.covariance if lens else None,
+    )
+    if len(hands) == len(views):
+        check_marker_offset(
+            lambda robot: fit(robot, limit_mm=np.inf), hands, np.array(options.marker_in_hand)
+        )
+    fitted = fit(robot, limit_mm=options.limit_mm, pictures=[str(view.get("image", "")) for view in views])
+    return fitted.at_height(options.map_height) if fitted.height_aware else fitted
+
+
+def _marker(view: dict[str, Any], marker_in_hand: tuple[float, float, float]) -> FloatArray:
+    """`(3,)` metres, base frame: the middle of the marker in one view."""
+    if "base" in view:
+        return np.array(view["base"], float).reshape(3)
+    return np.asarray(transform_points(view["T_base_hand"], [marker_in_hand])[0])

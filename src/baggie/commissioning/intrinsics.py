@@ -1,0 +1,102 @@
+"""`baggie calibrate intrinsics`: a camera's own matrix and lens, from pictures of a board."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from baggie.calibration.camera_calibration import CameraCalibration, import_intrinsics
+from baggie.calibration.intrinsics import (
+    BoardView,
+    calibrate_intrinsics_from,
+    fit_intrinsics,
+    is_new,
+    next_view,
+)
+from baggie.calibration.intrinsics_picture import draw_coverage
+from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
+from baggie.commissioning.printed import BOARD
+from baggie.commissioning.view_folder import ViewFolder
+from baggie.errors import CalibrationError
+from baggie.vision.picture_files import read_picture
+from baggie.vision.targets import parse_target
+
+MAX_LOOKS = 400
+"""Pictures looked at before giving up on a board that is never shown where it is needed."""
+
+
+@dataclass(frozen=True)
+class IntrinsicsOptions(LiveOptions):
+    """Where the pictures come from, and what is in them."""
+
+    out: Path = Path("camera.yaml")
+    """The calibration to write. Beside it go a picture of where the board was seen and, live, a folder of pictures."""
+    from_: From = None
+    """Pictures already taken: a folder, one picture, or a video. Without it they are taken live."""
+    board: str = BOARD
+    """charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY or chessboard:COLUMNSxROWS:SQUARE, in metres, as measured."""
+    name: str | None = None
+    """The camera's name, which a workcell must repeat; that of the camera or the folder unless given."""
+    factory: Path | None = None
+    """Take the manufacturer's values instead: a ROS camera_info, a RealSense or an OpenCV file."""
+
+
+def calibrate_intrinsics(options: IntrinsicsOptions) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+    if options.factory is not None:
+        calibration = import_intrinsics(options.factory, options.name or options.factory.stem)
+    elif options.from_ is not None:
+        name = options.name or options.from_.resolve().stem
+        calibration = calibrate_intrinsics_from(options.from_, parse_target(options.board), name)
+    else:
+        with open_bench(options) as bench:
+            calibration = calibrate_intrinsics_live(bench, options)
+    calibration.save(options.out)
+    result: dict[str, Any] = {"calibration": str(options.out), **calibration.summary()}
+    if calibration.views:
+        picture = options.out.with_suffix(".png")
+        draw_coverage(calibration, picture)
+        result["picture"] = str(picture)
+    result["next"] = "baggie calibrate camera-to-world, image-to-robot or hand-eye, with --intrinsics " + str(
+        options.out
+    )
+    return result
+
+
+def calibrate_intrinsics_live(bench: Bench, options: IntrinsicsOptions) -> CameraCalibration:
+    """Take pictures of the board until they cover view, tilt and distance; each is kept at once."""
+    target = parse_target(options.board)
+    folder = ViewFolder(
+        options.out.with_suffix(""), {"board": target.spec, "camera": bench.identity.to_yaml()}
+    )
+    views = []
+    for view in folder.views:
+        seen = target.detect(read_picture(folder.folder / view["image"]))
+        if seen is not None:
+            views.append(BoardView(view["image"], seen))
+    if views:
+        bench.say(f"going on with the {len(views)} pictures in {folder.folder}")
+    try:
+        for _ in range(MAX_LOOKS):
+            hint = next_view(views, bench.identity, target)
+            if hint is None:
+                break
+            bench.assistant.show(target, hint)
+            picture = bench.camera.look().color
+            seen = target.detect(picture)
+            show_live(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
+            if seen is not None and is_new(views, seen):
+                folder.append({}, picture)
+                views.append(BoardView(folder.views[-1]["image"], seen))
+                bench.say(f"picture {len(views)}: {len(seen.ids)} corners")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted with {len(views)} pictures in {folder.folder}; the same command again goes on"
+        ) from None
+    if not views:
+        raise CalibrationError(
+            f"no board {target.spec} was seen: {target.why_not(bench.camera.look().color)}"
+        )
+    bench.assistant.put_away()
+    return fit_intrinsics(views, bench.identity, target)

@@ -1,0 +1,67 @@
+"""`baggie print-target`: the targets the calibrations use unless told otherwise, as PDFs at true size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from baggie.errors import BaggieError
+from baggie.vision.printing import print_goal_card, print_target
+from baggie.vision.targets import parse_target
+
+HAND_MARKER = "aruco:DICT_4X4_50:0:0.060"
+"""On the plate in front of the fingertips, for `image-to-robot` and `check`."""
+TABLE_MARKER = "aruco:DICT_4X4_50:1:0.060"
+"""Laid on the table, to be touched by `check`."""
+BOARD = "charuco:12x8:0.032:0.024:DICT_4X4_50"
+"""For everything else: held in front of the camera, laid on the table. As large as A3 allows: with a board half as
+large the focal length is three times as uncertain, and the camera's angle four times."""
+HAND_BOARD = "charuco:5x4:0.020:0.015:DICT_4X4_50"
+"""On the plate in the hand, for `hand-eye`."""
+NAMED = {
+    "hand-marker": (HAND_MARKER, "A4"),
+    "table-marker": (TABLE_MARKER, "A4"),
+    "board": (BOARD, "A3"),
+    "hand-board": (HAND_BOARD, "A4"),
+}
+GOAL_CARD = "goal-card"
+
+
+@dataclass(frozen=True)
+class PrintOptions:
+    """What to print, and on what."""
+
+    target: Annotated[str, tyro.conf.Positional] = "board"
+    """board, hand-marker, table-marker, hand-board, goal-card, or a target in full such as
+    charuco:7x5:0.030:0.021:DICT_4X4_50, chessboard:9x6:0.025 or aruco:DICT_4X4_50:3:0.10 (metres)."""
+    out: Path | None = None
+    """The PDF; TARGET.pdf unless given."""
+    paper: str | None = None
+    """A4 or A3; what the target was made for unless given."""
+    size: float = 0.13
+    """Side of a goal card, metres."""
+    color: tuple[int, int, int] = (26, 140, 51)
+    """RGB of a goal card."""
+
+
+def print_to_pdf(options: PrintOptions) -> dict[str, Any]:
+    """Write the PDF; where it is, and what to do with it. Raises `BaggieError` for what fits no paper."""
+    out = options.out or Path(f"{options.target.replace(':', '-')}.pdf")
+    if out.suffix.lower() != ".pdf":
+        raise BaggieError(f"expected a file that ends in .pdf, got {out}")
+    spec, paper = NAMED.get(options.target, (options.target, "A4"))
+    paper = options.paper or paper
+    if options.target == GOAL_CARD:
+        spec = f"a square of {options.size * 1000:.0f} mm"
+        print_goal_card(out, options.size, options.color, paper)
+    else:
+        print_target(parse_target(spec), out, paper)
+    return {
+        "pdf": str(out),
+        "target": spec,
+        "paper": paper,
+        "next": "print at 100%, not fitted to the page; measure the ruler; glue it to something flat",
+    }

@@ -1,0 +1,42 @@
+"""The world's frame, as a person sees it on a target that lies on the table.
+
+Its origin is the lowest left point of the print, x runs right along the print, y up it, z out of the paper.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baggie.geometry import FloatArray, rigid, transform_points
+from baggie.vision.targets import Target
+
+
+def T_world_target(target: Target) -> FloatArray:
+    """`(4, 4)`: the target's own frame (y down the print, z into the paper) in the world's."""
+    rotation = np.diag([1.0, -1.0, -1.0])
+    low_left = np.array([target.points[:, 0].min(), target.points[:, 1].max(), 0.0])
+    return rigid(rotation, -rotation @ low_left)
+
+
+def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArray]]:
+    """Points of a target that are worth touching, each with words for where it is: `(3,)` metres, world frame.
+
+    The origin, the far end of the x axis and of the y axis; unless `axes_only`, the opposite corner and the middle of
+    the longer side as well, so that a wrong touch shows.
+    """
+    points = transform_points(T_world_target(target), target.points)
+    width, height = points[:, 0].max(), points[:, 1].max()
+    corner = "corner of the black square" if len(points) == 4 else "inner corner"
+    wanted = [
+        (f"the world's origin: the lower left {corner}", (0.0, 0.0)),
+        (f"a point on the x axis: the lower right {corner}", (width, 0.0)),
+        (f"a point on the y axis: the upper left {corner}", (0.0, height)),
+    ]
+    if not axes_only:
+        wanted.append((f"the upper right {corner}", (width, height)))
+        if len(points) > 4:
+            nearest = points[np.argmin(np.linalg.norm(points[:, :2] - [width / 2, height], axis=1))]
+            wanted.append(
+                (f"the {corner} in the upper row, {1000 * nearest[0]:.0f} mm from its left end", nearest[:2])
+            )
+    return [(words, np.array([x, y, 0.0])) for words, (x, y) in wanted]

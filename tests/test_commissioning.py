@@ -1,0 +1,389 @@
+"""The calibrations as a person runs them: live in the simulator, from folders, interrupted, and given nonsense."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from baggie.calibration.camera_calibration import CameraCalibration
+from baggie.calibration.camera_to_robot import CameraToRobot
+from baggie.calibration.camera_to_world import CameraToWorld
+from baggie.calibration.hand_eye import HandEye
+from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.cli import main
+from baggie.commissioning.assistant import PersonAtTerminal
+from baggie.commissioning.bench import open_bench
+from baggie.commissioning.check import CheckOptions, check_live
+from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot_live
+from baggie.commissioning.points import grid, marker_finder, parse_marker, visit
+from baggie.commissioning.printed import BOARD, HAND_MARKER, NAMED
+from baggie.commissioning.view_folder import ViewFolder
+from baggie.commissioning.world import T_world_target, points_to_touch
+from baggie.errors import BaggieError, CalibrationError, DataError
+from baggie.geometry import difference, invert_transform, transform_points
+from baggie.sim.cell import draw_cell
+from baggie.types import Intrinsics
+from baggie.vision.picture_files import read_picture, write_picture
+from baggie.vision.targets import Marker, parse_target
+from baggie.workcell.config import open_workcell
+from board_pictures import random_pose, render_board
+from fake_workcell import FakeArm, FakeCell
+
+CELL = 3
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every calibration of one simulated cell, by its command."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    camera = folder / "camera.yaml"
+    cell = ["--cell", str(CELL)]
+    lens = ["--intrinsics", str(camera)]
+    to_world, to_robot = folder / "camera-to-world.yaml", folder / "robot-to-world.yaml"
+    commands = [
+        ["intrinsics", *cell, "--out", str(camera)],
+        ["image-to-robot", *cell, *lens, "--columns", "3", "--out", str(folder / "image-to-robot.yaml")],
+        ["camera-to-world", *cell, *lens, "--frames", "3", "--out", str(to_world)],
+        ["robot-to-world", *cell, "--camera-to-world", str(to_world), "--out", str(to_robot)],
+        ["hand-eye", *cell, *lens, "--views", "8", "--out", str(folder / "hand-eye.yaml")],
+    ]
+    for command in commands:
+        assert main(["calibrate", *command]) == 0, command
+    return folder
+
+
+def test_the_simulated_cell_calibrates_itself_to_the_millimetre(calibrated: Path) -> None:
+    cell = draw_cell(CELL)
+    lens = CameraCalibration.load(calibrated / "camera.yaml").intrinsics
+    spots = grid(open_workspace(), 0.0, (0.0,))
+    rays = lens.rays(cell.project(spots))
+    truth = transform_points(cell.T_camera_base, spots)
+    assert 1000 * np.abs(rays * truth[:, 2:] - truth[:, :2]).max() < 1.0
+
+    on_table = ImageToRobot.load(calibrated / "image-to-robot.yaml").at_height(0.0)
+    errors = np.linalg.norm(on_table.to_robot(cell.project(spots)) - spots[:, :2], axis=1)
+    assert 1000 * np.sqrt((errors**2).mean()) < 1.5
+
+    T_base_camera = invert_transform(cell.T_camera_base)
+    for found in (
+        CameraToRobot.load(calibrated / "camera-to-robot.yaml").pose.transform,
+        HandEye.load(calibrated / "hand-eye.yaml").transform.transform,
+    ):
+        shift, turn = difference(found, T_base_camera)
+        assert 1000 * shift < 3.0
+        assert np.degrees(turn) < 0.3
+
+
+def open_workspace():
+    return FakeCell().settings.workspace
+
+
+def test_pictures_beside_the_results_show_them(calibrated: Path) -> None:
+    for name in (
+        "camera.png",
+        "image-to-robot.png",
+        "hand-eye.png",
+        "camera.live.jpg",
+        "image-to-robot/reference.png",
+    ):
+        assert read_picture(calibrated / name).shape[0] > 100, name
+
+
+def test_a_workcell_file_points_to_its_calibrations(calibrated: Path) -> None:
+    lines = [
+        "arm: sim",
+        f"cell: {CELL}",
+        "calibrations:",
+        "  intrinsics: camera.yaml",
+        "  image_to_robot: image-to-robot.yaml",
+    ]
+    (calibrated / "cell.yaml").write_text("\n".join([*lines, "  camera_to_robot: camera-to-robot.yaml"]))
+    cell = open_workcell(calibrated / "cell.yaml")
+    try:
+        assert cell.calibrations.image_to_robot is not None
+        assert cell.look().intrinsics == cell.calibrations.intrinsics.intrinsics
+    finally:
+        cell.close()
+    (calibrated / "other.yaml").write_text("\n".join([lines[0], "cell: 4", *lines[2:]]))
+    with pytest.raises(CalibrationError, match="cell 3"):
+        open_workcell(calibrated / "other.yaml")
+
+
+def test_the_check_measures_and_an_old_map_fails_it(
+    calibrated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    options = CheckOptions(map=calibrated / "image-to-robot.yaml", cell=CELL, points=2, touches=1)
+    with open_bench(options) as bench:
+        good = check_live(bench, ImageToRobot.load(options.map), options)
+        assert good["held_out_mm"]["max"] < 1.5
+        assert good["touch_mm"]["max"] < 2.0
+        assert good["background_moved_px"] < 0.5
+        bench.cell.bump_camera([0.008, 0.0, 0.0], [0.0, 0.0, 0.0])
+        bad = check_live(bench, ImageToRobot.load(options.map), options)
+        assert bad["touch_mm"]["mean"] > 4.0
+        assert bad["background_moved_px"] > 2.0
+
+
+def test_what_was_recorded_is_solved_again_offline(calibrated: Path, tmp_path: Path) -> None:
+    out = tmp_path / "again.yaml"
+    lens = ["--intrinsics", str(calibrated / "camera.yaml")]
+    assert (
+        main(
+            [
+                "calibrate",
+                "image-to-robot",
+                *lens,
+                "--from",
+                str(calibrated / "image-to-robot"),
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
+    first, again = (ImageToRobot.load(path) for path in (calibrated / "image-to-robot.yaml", out))
+    np.testing.assert_array_equal(again.projection, first.projection)
+    for name, words in (("camera-to-world", lens), ("robot-to-world", []), ("hand-eye", [])):
+        command = ["calibrate", name, *words, "--from", str(calibrated / name), "--out", str(out)]
+        assert main(command) == 0, name
+    first, again = (
+        CameraToWorld.load(path)
+        for path in (calibrated / "camera-to-world.yaml", calibrated / "camera-to-world.yaml")
+    )
+    np.testing.assert_array_equal(again.pose.transform, first.pose.transform)
+
+
+def test_a_marker_that_is_not_where_it_is_said_to_be_is_noticed(
+    calibrated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    recording = ["--from", str(calibrated / "image-to-robot"), "--out", str(tmp_path / "map.yaml")]
+    assert main(["calibrate", "image-to-robot", *recording, "--marker-in-hand", "0.115", "0.0", "0.0"]) == 1
+    assert "--marker-in-hand 0.130" in capsys.readouterr().err
+    assert not (tmp_path / "map.yaml").exists()
+
+
+def test_an_interrupted_calibration_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = ImageToRobotOptions(
+        out=tmp_path / "map.yaml", cell=CELL, columns=3, rows=2, heights=(0.05, 0.15)
+    )
+    with open_bench(options) as bench:
+        take, calls = bench.camera.look, []
+
+        def look_until_stopped():
+            calls.append(1)
+            if len(calls) == 4:  # the reference, two points, and then somebody presses Ctrl-C
+                raise KeyboardInterrupt
+            return take()
+
+        monkeypatch.setattr(bench.camera, "look", look_until_stopped)
+        with pytest.raises(KeyboardInterrupt, match="after 2 of 12 points"):
+            calibrate_image_to_robot_live(bench, options)
+        before = json.loads((tmp_path / "map" / "views.json").read_text())["views"]
+        assert len(before) == 2
+        fitted = calibrate_image_to_robot_live(bench, options)
+        after = json.loads((tmp_path / "map" / "views.json").read_text())["views"]
+    assert after[:2] == before
+    assert [view["point"] for view in after] == list(range(12))
+    assert len(fitted.residuals.points) == 12
+
+
+# -- folders ---------------------------------------------------------------------------------------
+
+
+def test_a_view_folder_keeps_what_it_was_given_and_refuses_another_beginning(tmp_path: Path) -> None:
+    folder = ViewFolder(tmp_path / "views", {"board": "a"})
+    picture = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    folder.append({"x": 1.5}, picture)
+    folder.append({"x": 2.5})
+    again = ViewFolder(tmp_path / "views", {"board": "a"})
+    assert again.views == [{"x": 1.5, "image": "000.png"}, {"x": 2.5}]
+    np.testing.assert_array_equal(read_picture(tmp_path / "views" / "000.png"), picture)
+    with pytest.raises(CalibrationError, match="begun with board"):
+        ViewFolder(tmp_path / "views", {"board": "b"})
+    (tmp_path / "views" / "views.json").write_text("{")
+    with pytest.raises(DataError, match=r"views\.json"):
+        ViewFolder(tmp_path / "views", {"board": "a"})
+
+
+# -- targets, points, the world --------------------------------------------------------------------
+
+
+def test_a_marker_s_middle_is_where_its_diagonals_cross() -> None:
+    lens = Intrinsics(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5))
+    marker = parse_target("aruco:DICT_4X4_50:0:0.10")
+    assert isinstance(marker, Marker)
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        pose = random_pose(marker, lens, rng, near=0.3)
+        found = marker_finder(marker)(render_board(marker, pose, lens, rng))
+        assert found is not None
+        assert np.linalg.norm(found - lens.project(pose[None, :3, 3])[0]) < 0.3
+
+
+def test_the_marker_is_brought_to_where_it_is_wanted() -> None:
+    cell, in_hand = FakeCell(), np.array([0.13, 0.02, 0.01])
+    positions = grid(cell.settings.workspace, 0.05, (0.05, 0.15), columns=2, rows=2)
+    cell.arm = FakeArm()
+    for number, hand, _ in visit(cell.arm, cell.camera, positions, in_hand):
+        np.testing.assert_allclose(transform_points(hand, in_hand[None])[0], positions[number], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "spec", ["color:1,2", "color:red", "charuco:7x5:0.03:0.02:DICT_4X4_50", "aruco:4x4", ""]
+)
+def test_a_marker_that_cannot_be_read_is_one_line(spec: str) -> None:
+    with pytest.raises(BaggieError) as caught:
+        parse_marker(spec)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_world_lies_on_the_print_s_lower_left_point_with_z_up() -> None:
+    for spec in (BOARD, HAND_MARKER, "chessboard:7x5:0.03"):
+        target = parse_target(spec)
+        points = transform_points(T_world_target(target), target.points)
+        assert points.min(axis=0) == pytest.approx(np.zeros(3))
+        touched = points_to_touch(target, axes_only=False)
+        assert np.linalg.norm(touched[0][1]) == 0
+        for _, point in touched:  # each is a printed corner
+            assert np.linalg.norm(points - point, axis=1).min() < 1e-9
+    assert len(points_to_touch(parse_target(BOARD), axes_only=True)) == 3
+
+
+def test_every_target_we_name_can_be_read_and_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in (*NAMED, "goal-card"):
+        out = tmp_path / f"{name}.pdf"
+        assert main(["print-target", name, "--out", str(out), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["pdf"] == str(out)
+        assert out.read_bytes().startswith(b"%PDF")
+    assert (
+        main(["print-target", "charuco:20x20:0.05:0.03:DICT_6X6_250", "--out", str(tmp_path / "big.pdf")])
+        == 1
+    )
+    assert main(["print-target", "board", "--out", str(tmp_path / "board.doc")]) == 1
+
+
+# -- people ----------------------------------------------------------------------------------------
+
+
+def test_a_person_s_measurement_is_read_or_left_out() -> None:
+    answers = iter(["1 -0.5", "", "far off"])
+    person = PersonAtTerminal(lambda _words: next(answers))
+    np.testing.assert_allclose(person.measure_touch("there"), [0.001, -0.0005])
+    assert person.measure_touch("there") is None
+    assert person.measure_touch("there") is None
+
+
+# -- real pictures from disk, through the command --------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def board_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("board")
+    lens, board, rng = draw_cell(0).lens.intrinsics, parse_target(BOARD), np.random.default_rng(0)
+    for number in range(8):
+        write_picture(
+            folder / f"{number:03d}.png", render_board(board, random_pose(board, lens, rng), lens, rng)
+        )
+    return folder
+
+
+def test_intrinsics_from_a_folder_give_the_keys_that_were_promised(
+    board_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import yaml
+
+    out = tmp_path / "camera.yaml"
+    command = [
+        "calibrate",
+        "intrinsics",
+        "--from",
+        str(board_folder),
+        "--board",
+        BOARD,
+        "--out",
+        str(out),
+        "--json",
+    ]
+    assert main(command) == 0
+    result, written = json.loads(capsys.readouterr().out), yaml.safe_load(out.read_text())
+    truth = draw_cell(0).lens.intrinsics
+    for content in (result, written):
+        np.testing.assert_allclose(content["camera_matrix"], truth.matrix, atol=3.0)
+        assert len(content["distortion"]) == 5
+        assert content["rms_px"] < 0.3
+        assert content["dropped"] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("empty", "picture"),
+        ("resolution", "1280 x 720"),
+        ("mirrored", "mirrored"),
+        ("other-board", "dictionar|DICT"),
+        ("blank", "no marker"),
+    ],
+)
+def test_pictures_that_cannot_be_used_are_one_clear_line(
+    board_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, words: str
+) -> None:
+    import re
+
+    board = "charuco:12x8:0.032:0.024:DICT_6X6_50" if change == "other-board" else BOARD
+    for path in sorted(board_folder.glob("*.png"))[: 0 if change == "empty" else 5]:
+        picture = read_picture(path)
+        if change == "resolution" and path.stem == "003":
+            picture = cv2.resize(picture, (640, 360))
+        elif change == "mirrored":
+            picture = np.ascontiguousarray(picture[:, ::-1])
+        elif change == "blank":
+            picture = np.full_like(picture, 128)
+        write_picture(tmp_path / "pictures" / path.name, picture)
+    (tmp_path / "pictures").mkdir(exist_ok=True)
+    out = tmp_path / "camera.yaml"
+    command = [
+        "calibrate",
+        "intrinsics",
+        "--from",
+        str(tmp_path / "pictures"),
+        "--board",
+        board,
+        "--out",
+        str(out),
+    ]
+    assert main(command) == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert re.search(words, errors[0]), errors
+    assert not out.exists()
+
+
+def test_a_swapped_x_and_y_axis_is_refused(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = json.loads((calibrated / "image-to-robot" / "views.json").read_text())
+    lens = CameraCalibration.load(calibrated / "camera.yaml")
+    offset = np.array([[0.13, 0.0, 0.0]])
+    for view in content["views"]:
+        x, y, z = transform_points(view.pop("T_base_hand"), offset)[0]
+        view["base"] = [y, x, z]
+    (tmp_path / "views.json").write_text(json.dumps(content))
+    for words in ([], ["--intrinsics", str(calibrated / "camera.yaml")]):
+        command = [
+            "calibrate",
+            "image-to-robot",
+            "--from",
+            str(tmp_path),
+            *words,
+            "--out",
+            str(tmp_path / "map.yaml"),
+        ]
+        assert main(command) == 1
+        assert "swapped" in capsys.readouterr().err
+    assert lens.camera.width == 1280
