@@ -4,8 +4,8 @@
 
 In each cell: (1) with exact detections; (2) with detections as noisy as real ones and a fifth of them wrong, against
 the same without the wrong ones; (3) live, from pictures: every calibration as its command makes it, with the cell's own
-lens, lamps, exposure and noise, and a blur of 0.3 to 1 pixel. Cells that are done are kept in OUT/cells.jsonl, again goes on;
-without that file, what was recorded is fitted again. Writes docs/results/calibration.{json,md}.
+lens, lamps, exposure and noise, and a blur of 0.3 to 1 pixel. Cells that are done are kept in OUT/cells.jsonl, again
+goes on; without that file, what was recorded is fitted again. Writes docs/results/calibration.{json,md}.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from baggie.calibration.board_views import BoardView
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.camera_to_robot import compose
-from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.hand_eye import solve_hand_eye
-from baggie.calibration.hand_eye_views import HandEyeViews, read_views
-from baggie.calibration.image_to_robot import ImageToRobot
-from baggie.calibration.intrinsics import fit_intrinsics
-from baggie.calibration.robot_to_world import fit_from_points
+from baggie.calibration.hand_eye.solve import solve_hand_eye
+from baggie.calibration.hand_eye.views import HandEyeViews, read_views
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.intrinsics.board_views import BoardView
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.world.camera_to_robot import compose
+from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
+from baggie.calibration.world.robot_to_world import fit_from_points
 from baggie.commissioning.bench import Bench, LiveOptions, open_bench
 from baggie.commissioning.camera_to_world import CameraToWorldOptions, calibrate_camera_to_world_live
 from baggie.commissioning.hand_eye import HandEyeOptions, random_hand_pose, take_hand_eye_views
@@ -283,7 +283,7 @@ def true_lens(cell: Cell) -> CameraCalibration:
 
 
 def judge_lens(lens: CameraCalibration, cell: Cell) -> Truth:
-    """How far the calibrated lens looks past where the true one does, on the table, in the true camera: metres to mm."""
+    """How far the calibrated lens looks past where the true one does, on the table, mm."""
     spots = grid(WORKSPACE, 0.0, (0.0,), columns=13, rows=7)
     truly = transform_points(cell.T_camera_base, spots)
     apart = lens.intrinsics.rays(cell.project(spots)) * truly[:, 2:] - truly[:, :2]
@@ -310,7 +310,7 @@ class Blurred:
 def pictures(number: int, folder: Path) -> dict[str, Truth]:
     """Every calibration as its command makes it, from rendered pictures; those in `folder` are not taken again."""
     rng = np.random.default_rng([4, number])
-    with open_bench(LiveOptions(cell=number)) as bench:
+    with open_bench(LiveOptions(cell=number, seed=number)) as bench:
         cell = bench.workcell()
         assert isinstance(cell, SimulatedWorkcell)
         bench.console = Console(quiet=True)
@@ -361,7 +361,7 @@ def live(bench: Bench, cell: SimulatedWorkcell, folder: Path) -> dict[str, Truth
         return judge_pose(compose(found["camera"], robot).pose, T_base_camera)
 
     def hand_eye() -> Truth:
-        options = HandEyeOptions(out=folder / "hand-eye.yaml", intrinsics=camera_file)
+        options = HandEyeOptions(out=folder / "hand-eye.yaml", intrinsics=camera_file, seed=true.number)
         return judge_pose(
             solve_hand_eye(read_views(take_hand_eye_views(bench, options))).transform, T_base_camera
         )

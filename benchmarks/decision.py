@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.annotation import goal_of
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.policies import ColorMaskPolicy, Policy, RegressionPolicy

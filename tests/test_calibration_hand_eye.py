@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from baggie.calibration import hand_eye_refine, hand_eye_reproject
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.hand_eye import HandEye, HandEyeViews, read_views, solve_hand_eye
-from baggie.calibration.hand_eye_closed import CLOSED_FORMS, closed_form
-from baggie.calibration.hand_eye_picture import draw_views
-from baggie.calibration.hand_eye_views import Mount
+from baggie.calibration.hand_eye.closed_forms import CLOSED_FORMS, closed_form
+from baggie.calibration.hand_eye.picture import draw_views
+from baggie.calibration.hand_eye.solve import HandEye, HandEyeViews, read_views, solve_hand_eye
+from baggie.calibration.hand_eye.views import Mount
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, difference, from_vector, invert_transform
 from baggie.types import Intrinsics

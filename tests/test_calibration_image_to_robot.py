@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot, compare
-from baggie.calibration.image_to_robot_comparison import lattice
-from baggie.calibration.image_to_robot_picture import draw_comparison, draw_residuals
+from baggie.calibration.image_to_robot.comparison import lattice
+from baggie.calibration.image_to_robot.map import ImageToRobot, compare
+from baggie.calibration.image_to_robot.picture import draw_comparison, draw_residuals
 from baggie.collect.calibrate import calibrate
 from baggie.commissioning.points import grid
 from baggie.errors import BaggieError, CalibrationError, DataError

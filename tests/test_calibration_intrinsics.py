@@ -12,9 +12,9 @@ from PIL import Image as Pillow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from baggie.calibration.camera_calibration import CameraCalibration, import_intrinsics
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.intrinsics import (
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, import_intrinsics
+from baggie.calibration.intrinsics.fit import (
     BoardView,
     calibrate_intrinsics_from,
     find_views,
@@ -22,13 +22,13 @@ from baggie.calibration.intrinsics import (
     is_new,
     next_view,
 )
-from baggie.calibration.intrinsics_picture import draw_coverage
-from baggie.calibration.lens_bundle import DISTORTION, fit_lens, guessed_lens
-from baggie.calibration.lens_terms import CANDIDATES, held_out_error
-from baggie.calibration.pictures import read_pictures
+from baggie.calibration.intrinsics.lens_bundle import DISTORTION, fit_lens, guessed_lens
+from baggie.calibration.intrinsics.lens_terms import CANDIDATES, held_out_error
+from baggie.calibration.intrinsics.picture import draw_coverage
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import rigid, transform_points
 from baggie.types import Intrinsics
+from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, parse_target
 from board_pictures import random_pose, render_board
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import machine
 from baggie.collect.machine import MAX_ASKS, MAX_LOOKS, MAX_TRIES, State, Stopped, Turn, run_turn
 from baggie.collect.places import MARGIN_M, MIN_DISTANCE_M, false_45, grip_yaw, nearest_grip, random_place

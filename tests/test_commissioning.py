@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.camera_to_robot import CameraToRobot
-from baggie.calibration.camera_to_world import CameraToWorld
-from baggie.calibration.hand_eye import HandEye
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.hand_eye.solve import HandEye
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.world.camera_to_robot import CameraToRobot
+from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.cli import main
 from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.bench import open_bench

@@ -10,7 +10,7 @@ import torch
 import yaml
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose

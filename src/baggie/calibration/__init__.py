@@ -1,0 +1,1 @@
+"""Fits, their uncertainty, and their files; nothing here moves an arm."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import CollectorCell
 from baggie.collect.places import MARGIN_M
 from baggie.commissioning.points import color_finder, grid, visit

@@ -16,7 +16,7 @@ import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import CollectorCell
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting

@@ -20,7 +20,7 @@ from enum import Enum
 
 import numpy as np
 
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.places import false_45, grip_yaw, nearest_grip, random_place
 from baggie.errors import BaggieError, LimitError, ReachError

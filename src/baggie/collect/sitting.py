@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baggie import seeds
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.machine import Stopped, Turn, run_turn
 from baggie.data.record import fit

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.pictures import read_pictures
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import BOARD
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.commissioning.world import T_world_target
 from baggie.errors import CalibrationError
+from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, Target, parse_target
 
 

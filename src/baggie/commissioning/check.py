@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from baggie import seeds
-from baggie.calibration.image_to_robot import ImageToRobot, compare
-from baggie.calibration.image_to_robot_picture import draw_comparison
+from baggie.calibration.image_to_robot.map import ImageToRobot, compare
+from baggie.calibration.image_to_robot.picture import draw_comparison
 from baggie.commissioning.bench import Bench, LiveOptions, open_bench
 from baggie.commissioning.image_to_robot import MARGIN_M
 from baggie.commissioning.points import marker_finder, parse_marker, visit

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.hand_eye import solve_hand_eye
-from baggie.calibration.hand_eye_picture import draw_views
-from baggie.calibration.hand_eye_views import read_views
+from baggie.calibration.hand_eye.picture import draw_views
+from baggie.calibration.hand_eye.solve import solve_hand_eye
+from baggie.calibration.hand_eye.views import read_views
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import HAND_BOARD
 from baggie.commissioning.view_folder import ViewFolder
@@ -122,4 +122,4 @@ def random_hand_pose(workspace: Rectangle, rng: np.random.Generator) -> FloatArr
     tilt = Rotation.from_rotvec(np.radians(rng.uniform(10, 30)) * axis)
     yaw = Rotation.from_euler("z", rng.uniform(-40, 40), degrees=True)
     down = np.diag([1.0, -1.0, -1.0])
-    return rigid((tilt * yaw).as_matrix() @ down, [x, y, rng.uniform(0.12, 0.30)])
+    return rigid((tilt * yaw).as_matrix() @ down, [x, y, rng.uniform(0.28, 0.48)])

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baggie.calibration.camera_calibration import CameraCalibration
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
-from baggie.calibration.image_to_robot_picture import draw_residuals
-from baggie.calibration.marker_offset import check_marker_offset
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.image_to_robot.marker_offset import check_marker_offset
+from baggie.calibration.image_to_robot.picture import draw_residuals
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.points import Find, grid, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER

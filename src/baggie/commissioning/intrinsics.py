@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baggie.calibration.camera_calibration import CameraCalibration, import_intrinsics
-from baggie.calibration.intrinsics import (
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, import_intrinsics
+from baggie.calibration.intrinsics.fit import (
     BoardView,
     calibrate_intrinsics_from,
     fit_intrinsics,
     is_new,
     next_view,
 )
-from baggie.calibration.intrinsics_picture import draw_coverage
+from baggie.calibration.intrinsics.picture import draw_coverage
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import BOARD
 from baggie.commissioning.view_folder import ViewFolder

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import track
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data import Dataset, open_dataset
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError

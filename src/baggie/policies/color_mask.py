@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.geometry import FloatArray, apply_homography
 from baggie.policies.keypoint import KeypointPolicy
 

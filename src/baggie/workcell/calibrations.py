@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.camera_to_robot import CameraToRobot
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.world.camera_to_robot import CameraToRobot
 
 
 @dataclass(frozen=True)

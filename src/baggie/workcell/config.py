@@ -9,10 +9,10 @@ from typing import Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from baggie.calibration.camera_calibration import CameraCalibration
-from baggie.calibration.camera_to_robot import CameraToRobot
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
 from baggie.sim.bag import BagParameters

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from baggie.calibration.hand_eye_refine import Pair, cross_matrices, moved
+from baggie.calibration.hand_eye.refine import Pair, cross_matrices, moved
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 from baggie.vision.targets import Seen

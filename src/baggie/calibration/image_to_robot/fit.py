@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.image_to_robot_adjust import Adjusted, adjust, fit_projection
-from baggie.calibration.image_to_robot_checks import (
+from baggie.calibration.image_to_robot.adjust import Adjusted, adjust, fit_projection
+from baggie.calibration.image_to_robot.checks import (
     MIN_POINTS,
     MIN_POINTS_TWO_HEIGHTS,
     OFF_PLANE_M,
@@ -26,9 +26,9 @@ from baggie.calibration.image_to_robot_checks import (
     check_two_heights,
     off_plane_m,
 )
-from baggie.calibration.image_to_robot_start import start
+from baggie.calibration.image_to_robot.projection import to_plane
+from baggie.calibration.image_to_robot.start import start
 from baggie.calibration.pose import fit_pose
-from baggie.calibration.projection import to_plane
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Intrinsics
 
@@ -47,7 +47,7 @@ class Solution:
     lens: Intrinsics
     origin: LensOrigin
     matrix: FloatArray
-    """`(3, 4)` or `(3, 3)`, as `baggie.calibration.projection` has it."""
+    """`(3, 4)` or `(3, 3)`, as `baggie.calibration.image_to_robot.projection` has it."""
     covariance: FloatArray
     """`(4 + D + M, 4 + D + M)` of the numbers of `to_numbers`."""
     kept: NDArray[np.bool_]

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.board_views import BoardView
-from baggie.calibration.lens_bundle import DISTORTION, board_pose, rough_lens, search_lens, subset
+from baggie.calibration.intrinsics.board_views import BoardView
+from baggie.calibration.intrinsics.lens_bundle import DISTORTION, board_pose, rough_lens, search_lens, subset
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray

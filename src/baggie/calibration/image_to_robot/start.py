@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.projection import homogeneous
+from baggie.calibration.image_to_robot.projection import homogeneous
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 

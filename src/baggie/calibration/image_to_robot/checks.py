@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from baggie.calibration.image_to_robot_start import AGREEING
-from baggie.calibration.projection import derivatives
+from baggie.calibration.image_to_robot.projection import derivatives
+from baggie.calibration.image_to_robot.start import AGREEING
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics

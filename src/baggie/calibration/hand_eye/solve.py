@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from baggie.calibration.hand_eye_agree import agree
-from baggie.calibration.hand_eye_closed import MIN_VIEWS
-from baggie.calibration.hand_eye_compare import Candidate, best_of, compare, uncertainty
-from baggie.calibration.hand_eye_lens import lens_share
-from baggie.calibration.hand_eye_refine import Pair, refine
-from baggie.calibration.hand_eye_result import HandEye, MethodErrors
-from baggie.calibration.hand_eye_views import HandEyeViews, read_views
+from baggie.calibration.hand_eye.agree import agree
+from baggie.calibration.hand_eye.closed_forms import MIN_VIEWS
+from baggie.calibration.hand_eye.compare import Candidate, best_of, compare, uncertainty
+from baggie.calibration.hand_eye.lens import lens_share
+from baggie.calibration.hand_eye.refine import Pair, refine
+from baggie.calibration.hand_eye.result import HandEye, MethodErrors
+from baggie.calibration.hand_eye.views import HandEyeViews, read_views
 
 __all__ = ["HandEye", "HandEyeViews", "read_views", "solve_hand_eye"]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from baggie.calibration.factory import read_factory
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.lens_bundle import PARAMETERS
+from baggie.calibration.intrinsics.factory import read_factory
+from baggie.calibration.intrinsics.lens_bundle import PARAMETERS
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 

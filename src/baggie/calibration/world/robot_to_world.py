@@ -18,7 +18,9 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from baggie.calibration.files import broken, read_calibration, write_calibration
-from baggie.calibration.touches import (
+from baggie.calibration.transform_yaml import pose_from_yaml, uncertainty_to_yaml
+from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.world.touches import (
     agreeing,
     axes_covariance,
     distances,
@@ -28,8 +30,6 @@ from baggie.calibration.touches import (
     rigid_covariance,
     spread,
 )
-from baggie.calibration.transform_yaml import pose_from_yaml, uncertainty_to_yaml
-from baggie.calibration.uncertain import UncertainTransform
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, transform_points
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from baggie.calibration.hand_eye_closed import MIN_VIEWS, closed_form
-from baggie.calibration.hand_eye_refine import Pair, mean_board, refine, view_errors
-from baggie.calibration.hand_eye_views import HandEyeViews, Mount
+from baggie.calibration.hand_eye.closed_forms import MIN_VIEWS, closed_form
+from baggie.calibration.hand_eye.refine import Pair, mean_board, refine, view_errors
+from baggie.calibration.hand_eye.views import HandEyeViews, Mount
 from baggie.calibration.pose import both_planar_poses
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, invert_transform

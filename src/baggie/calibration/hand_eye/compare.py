@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.hand_eye_agree import Agreement
-from baggie.calibration.hand_eye_closed import CLOSED_FORMS, MIN_VIEWS, closed_form
-from baggie.calibration.hand_eye_refine import Noise, Pair, mean_board, refine
-from baggie.calibration.hand_eye_reproject import reproject
-from baggie.calibration.hand_eye_views import HandEyeViews
+from baggie.calibration.hand_eye.agree import Agreement
+from baggie.calibration.hand_eye.closed_forms import CLOSED_FORMS, MIN_VIEWS, closed_form
+from baggie.calibration.hand_eye.refine import Noise, Pair, mean_board, refine
+from baggie.calibration.hand_eye.reproject import reproject
+from baggie.calibration.hand_eye.views import HandEyeViews
 from baggie.calibration.uncertain import UncertainTransform
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray

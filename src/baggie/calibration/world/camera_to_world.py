@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.flipped_pose import MeasuredDepth, odds
 from baggie.calibration.pose import PoseFit, both_planar_poses, fit_pose, residuals_px
-from baggie.calibration.still_frames import StillFrames, average
 from baggie.calibration.transform_yaml import pose_from_yaml, rigid_from_yaml, uncertainty_to_yaml
 from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.world.flipped_pose import MeasuredDepth, odds
+from baggie.calibration.world.still_frames import StillFrames, average
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, difference, invert_transform
 from baggie.types import Intrinsics

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.calibration.camera_calibration import CameraCalibration
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.errors import CalibrationError
 
 _ARROW = 0.03

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baggie.calibration.image_to_robot import ImageToRobot
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
 

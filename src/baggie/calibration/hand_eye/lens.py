@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from baggie.calibration.hand_eye_refine import Pair
-from baggie.calibration.hand_eye_reproject import reproject
-from baggie.calibration.hand_eye_views import HandEyeViews
+from baggie.calibration.hand_eye.refine import Pair
+from baggie.calibration.hand_eye.reproject import reproject
+from baggie.calibration.hand_eye.views import HandEyeViews
 from baggie.calibration.uncertain import UncertainTransform
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics

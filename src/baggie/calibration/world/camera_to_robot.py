@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.robot_to_world import RobotToWorld
 from baggie.calibration.transform_yaml import pose_from_yaml, uncertainty_to_yaml
 from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.world.camera_to_world import CameraToWorld
+from baggie.calibration.world.robot_to_world import RobotToWorld
 from baggie.geometry import difference
 
 _KIND = "camera-to-robot"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.lens_bundle import LensFit, board_pose, fit_lens, search_lens, subset
+from baggie.calibration.intrinsics.lens_bundle import LensFit, board_pose, fit_lens, search_lens, subset
 from baggie.calibration.pose import residuals_px
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.hand_eye_views import Mount
+from baggie.calibration.hand_eye.views import Mount
 from baggie.calibration.uncertain import UncertainTransform
 from baggie.geometry import FloatArray
 

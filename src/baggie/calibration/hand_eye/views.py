@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -18,6 +17,7 @@ from baggie.calibration.pose import fit_pose
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, invert_transform
 from baggie.types import Image, Intrinsics
+from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Seen, Target, parse_target
 
 Mount = Literal["hand", "fixed"]
@@ -241,10 +241,7 @@ class _Pictures:
         path = self._folder / name
         if not path.is_file():
             raise DataError(f"no picture {path}; put it there, or take its view out of views.json")
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise DataError(f"{path} is no picture; save it again, or take its view out of views.json")
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+        return read_picture(path)
 
     def _setting(self, width: int, height: int) -> tuple[Target, Intrinsics]:
         missing = [key for key in ("camera_matrix", "distortion", "board") if key not in self._content]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from baggie.calibration.image_to_robot import ImageToRobot
-from baggie.calibration.image_to_robot_comparison import Comparison, lattice
+from baggie.calibration.image_to_robot.comparison import Comparison, lattice
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, Rectangle
 

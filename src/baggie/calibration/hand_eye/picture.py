@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.calibration.hand_eye_result import HandEye
+from baggie.calibration.hand_eye.result import HandEye
 
 _FULL = 4.0
 """Bars end at this many times the best method's error; the number beside one says the rest."""

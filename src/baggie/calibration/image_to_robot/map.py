@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.image_to_robot_checks import heights_of
-from baggie.calibration.image_to_robot_comparison import Comparison, lattice, shared_area
-from baggie.calibration.image_to_robot_fit import LensOrigin, solve
-from baggie.calibration.image_to_robot_residuals import Residuals
-from baggie.calibration.projection import derivatives, project, to_plane
+from baggie.calibration.image_to_robot.checks import heights_of
+from baggie.calibration.image_to_robot.comparison import Comparison, lattice, shared_area
+from baggie.calibration.image_to_robot.fit import LensOrigin, solve
+from baggie.calibration.image_to_robot.projection import derivatives, project, to_plane
+from baggie.calibration.image_to_robot.residuals import Residuals
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, Rectangle, wrap_angle
 from baggie.types import Intrinsics

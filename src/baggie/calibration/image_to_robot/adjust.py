@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 
-from baggie.calibration.image_to_robot_start import normalized
-from baggie.calibration.projection import derivatives, from_numbers, project, to_numbers
+from baggie.calibration.image_to_robot.projection import derivatives, from_numbers, project, to_numbers
+from baggie.calibration.image_to_robot.start import normalized
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.calibration.agreement import MIN_VIEWS, agreeing, clean
-from baggie.calibration.board_views import (
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.intrinsics.agreement import MIN_VIEWS, agreeing, clean
+from baggie.calibration.intrinsics.board_views import (
     ENOUGH_VIEWS,
     BoardView,
     all_alike,
@@ -25,13 +26,12 @@ from baggie.calibration.board_views import (
     spread,
     warnings_about,
 )
-from baggie.calibration.camera_calibration import CameraCalibration, ViewError
-from baggie.calibration.files import CameraIdentity
-from baggie.calibration.lens_bundle import LensFit
-from baggie.calibration.lens_terms import ChosenLens, choose_lens
-from baggie.calibration.pictures import read_pictures
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, ViewError
+from baggie.calibration.intrinsics.lens_bundle import LensFit
+from baggie.calibration.intrinsics.lens_terms import ChosenLens, choose_lens
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
+from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, Target
 
 __all__ = [

@@ -1,0 +1,1 @@
+"""Camera and hand together, from a board seen at many poses of the arm."""

@@ -1,0 +1,1 @@
+"""From the picture straight to the robot's plane."""
