@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from tyro.conf import subcommand
@@ -24,7 +26,7 @@ def intrinsics(options: IntrinsicsOptions, json: bool = False) -> None:
         options: Where the pictures come from.
         json: Print the result as one JSON object.
     """
-    show(calibrate_intrinsics(options), json)
+    _report(calibrate_intrinsics(options), json)
 
 
 def image_to_robot(options: ImageToRobotOptions, json: bool = False) -> None:
@@ -36,7 +38,7 @@ def image_to_robot(options: ImageToRobotOptions, json: bool = False) -> None:
         options: Where the arm goes, and what it carries.
         json: Print the result as one JSON object.
     """
-    show(calibrate_image_to_robot(options), json)
+    _report(calibrate_image_to_robot(options), json)
 
 
 def camera_to_world(options: CameraToWorldOptions, json: bool = False) -> None:
@@ -48,7 +50,7 @@ def camera_to_world(options: CameraToWorldOptions, json: bool = False) -> None:
         options: What lies on the table.
         json: Print the result as one JSON object.
     """
-    show(calibrate_camera_to_world(options), json)
+    _report(calibrate_camera_to_world(options), json)
 
 
 def robot_to_world(options: RobotToWorldOptions, json: bool = False) -> None:
@@ -60,7 +62,7 @@ def robot_to_world(options: RobotToWorldOptions, json: bool = False) -> None:
         options: What is touched, and with what.
         json: Print the result as one JSON object.
     """
-    show(calibrate_robot_to_world(options), json)
+    _report(calibrate_robot_to_world(options), json)
 
 
 def hand_eye(options: HandEyeOptions, json: bool = False) -> None:
@@ -72,7 +74,7 @@ def hand_eye(options: HandEyeOptions, json: bool = False) -> None:
         options: Where the views come from.
         json: Print the result as one JSON object.
     """
-    show(calibrate_hand_eye(options), json)
+    _report(calibrate_hand_eye(options), json)
 
 
 def check(options: CheckOptions, json: bool = False) -> None:
@@ -84,7 +86,14 @@ def check(options: CheckOptions, json: bool = False) -> None:
         options: What to check, and how.
         json: Print the result as one JSON object.
     """
-    show(check_calibration(options), json)
+    _report(check_calibration(options), json)
+
+
+def _report(result: Mapping[str, Any], json: bool) -> None:
+    """Warnings where nobody overlooks them, too."""
+    for warning in result.get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
+    show(result, json)
 
 
 Calibration = (

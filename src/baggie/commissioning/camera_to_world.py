@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
@@ -61,17 +65,23 @@ def calibrate_camera_to_world_live(bench: Bench, options: CameraToWorldOptions) 
         bench.assistant.lay(
             target, "lay the target flat on the table, in the middle of the workspace, all of it in view"
         )
+    depths: list[NDArray[np.float32]] = []
     while len(folder) < options.frames:
-        picture = bench.look().color
+        observation = bench.look()
+        picture = observation.color
+        if observation.depth is not None:
+            depths.append(observation.depth)
         found = target.detect(picture)
         show_live(folder.folder, picture, found, f"the target on the table, picture {len(folder) + 1}")
         if found is None:
             raise CalibrationError(f"the target {target.spec} is not seen: {target.why_not(picture)}")
         folder.append({}, picture)
-    return _from_pictures(folder.folder, target, lens)
+    return _from_pictures(folder.folder, target, lens, depths)
 
 
-def _from_pictures(source: Path, target: Target, lens: CameraCalibration) -> CameraToWorld:
+def _from_pictures(
+    source: Path, target: Target, lens: CameraCalibration, depths: Sequence[NDArray[np.float32]] = ()
+) -> CameraToWorld:
     seen: dict[str, Seen] = {}
     for name, picture in read_pictures(source):
         height, width = picture.shape[:2]
@@ -90,5 +100,6 @@ def _from_pictures(source: Path, target: Target, lens: CameraCalibration) -> Cam
         lens.intrinsics,
         lens.covariance,
         T_world_target=T_world_target(target),
+        depths=depths,
         names=list(seen),
     )

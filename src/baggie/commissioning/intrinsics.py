@@ -18,7 +18,7 @@ from baggie.calibration.intrinsics.picture import draw_coverage
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import BOARD
 from baggie.commissioning.view_folder import ViewFolder
-from baggie.errors import CalibrationError
+from baggie.errors import CalibrationError, CameraError
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import parse_target
 
@@ -83,7 +83,12 @@ def calibrate_intrinsics_live(bench: Bench, options: IntrinsicsOptions) -> Camer
             if hint is None:
                 break
             bench.assistant.show(target, hint)
-            picture = bench.camera.look().color
+            try:
+                picture = bench.camera.look().color
+            except CameraError:
+                if not views:
+                    raise
+                break  # a video is over, or the cable came off: what was seen may be enough
             seen = target.detect(picture)
             show_live(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
             if seen is not None and is_new(views, seen):
