@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -13,6 +14,8 @@ import yaml
 
 from baggie.errors import CalibrationError, DataError
 from baggie.files import write_text
+
+VIEWS_FILE = "views.json"
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,26 @@ def read_calibration(path: Path, kind: str) -> dict[str, Any]:
         raise DataError(
             f"expected a {kind} calibration in {path}, got {found or 'something else'!r}; name the right file"
         )
+    return dict(content)
+
+
+def read_views_file(folder: Path) -> dict[str, Any]:
+    """The content of `views.json`, which lists what was seen in a recording, `"views": [{...}, ...]`, and how.
+
+    Raises `DataError` when it is not there or is something else.
+    """
+    path = folder / VIEWS_FILE
+    try:
+        content = json.loads(path.read_text())
+    except OSError as error:
+        raise DataError(
+            f"cannot read {path} ({error.strerror}); name the folder with {VIEWS_FILE} in it"
+        ) from None
+    except ValueError as error:
+        raise DataError(f"{path} is no JSON ({error}); write it again") from None
+    views = content.get("views") if isinstance(content, dict) else None
+    if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
+        raise DataError(f'expected a list "views" of {{...}} in {path}, got something else; write it again')
     return dict(content)
 
 

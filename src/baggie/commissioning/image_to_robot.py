@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from baggie.calibration.files import CameraIdentity
+from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.marker_offset import check_marker_offset
 from baggie.calibration.image_to_robot.picture import draw_residuals
@@ -18,7 +18,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.points import Find, grid, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER
-from baggie.commissioning.view_folder import ViewFolder, read_views_file
+from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, transform_points
 from baggie.vision.picture_files import read_picture, write_picture

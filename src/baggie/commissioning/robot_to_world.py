@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from baggie.calibration.files import read_views_file
 from baggie.calibration.world.camera_to_robot import compose
 from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.calibration.world.robot_to_world import RobotToWorld, fit_from_axes, fit_from_points
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench
 from baggie.commissioning.printed import BOARD
-from baggie.commissioning.view_folder import ViewFolder, read_views_file
+from baggie.commissioning.view_folder import ViewFolder
 from baggie.commissioning.world import points_to_touch
 from baggie.errors import DataError
 from baggie.geometry import transform_points

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from baggie.errors import CalibrationError, DataError
+from baggie.calibration.files import VIEWS_FILE, read_views_file
+from baggie.errors import CalibrationError
 from baggie.files import write_text
 from baggie.types import Image
 from baggie.vision.picture_files import write_picture
-
-VIEWS_FILE = "views.json"
 
 
 class ViewFolder:
@@ -54,19 +53,3 @@ class ViewFolder:
                     "or remove the folder to start again"
                 )
         return list(content["views"])
-
-
-def read_views_file(folder: Path) -> dict[str, Any]:
-    """The content of a folder's `views.json`. Raises `DataError` when it is not there or is something else."""
-    path = folder / VIEWS_FILE
-    try:
-        content = json.loads(path.read_text())
-        if not isinstance(content["views"], list):
-            raise TypeError("views is no list")
-    except OSError as error:
-        raise DataError(
-            f"expected {VIEWS_FILE} in {folder} ({error.strerror}); name the folder of a recording"
-        ) from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} cannot be read ({error!r}); record again") from None
-    return dict(content)

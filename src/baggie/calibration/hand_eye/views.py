@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from baggie.calibration.files import CameraIdentity
+from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.pose import fit_pose
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, invert_transform
@@ -125,15 +124,13 @@ def read_views(folder: Path) -> HandEyeViews:
     out and listed in `dropped`. Raises `DataError` for what is missing or damaged, `CalibrationError` for matrices
     that are no poses, `BaggieError` for a board that cannot be read.
     """
-    content = _read_json(folder / "views.json")
+    content = read_views_file(folder)
     units, mount = content.get("units"), content.get("mount")
     if units not in _METRES:
         _fail(folder, f'expected "units": "m" or "mm", got {units!r}; say what the translations are in')
     if mount not in ("hand", "fixed"):
         _fail(folder, f'expected "mount": "hand" or "fixed", got {mount!r}; say what carries the camera')
-    entries = content.get("views")
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        _fail(folder, 'expected a list "views" of {"T_base_hand": ..., "T_camera_board" or "image": ...}')
+    entries = content["views"]
 
     def pose(entry: Mapping[str, Any], key: str, name: str) -> FloatArray:
         matrix = checked_pose(entry[key], key, name)
@@ -276,22 +273,6 @@ class _Pictures:
                 )
             except (TypeError, ValueError):
                 _fail(self._folder, f"expected {parameters} x {parameters} numbers as intrinsics_covariance")
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except OSError as error:
-        raise DataError(
-            f"cannot read {path} ({error.strerror}); name the folder with views.json in it"
-        ) from None
-    except ValueError as error:
-        raise DataError(f"{path} is no JSON ({error}); write it again") from None
-    if not isinstance(content, dict):
-        raise DataError(
-            f'expected {{"units": ..., "mount": ..., "views": [...]}} in {path}, got something else'
-        )
-    return content
 
 
 def _check_units(views: HandEyeViews, units: str) -> None:
