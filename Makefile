@@ -31,6 +31,8 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: hou
 	$(BIN)/python benchmarks/collection.py --out runs/recording
 	$(BIN)/python benchmarks/policies.py --data runs/recording --runs runs
 	$(BIN)/python benchmarks/media.py --policy runs/keypoint
+	$(BIN)/python benchmarks/calibration.py --out runs/calibration
+	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
 
 lerobot: $(STAMP) gl ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
+from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye import refine as hand_eye_refine
 from baggie.calibration.hand_eye import reproject as hand_eye_reproject
-from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.closed_forms import CLOSED_FORMS, closed_form
 from baggie.calibration.hand_eye.picture import draw_views
 from baggie.calibration.hand_eye.solve import HandEye, HandEyeViews, read_views, solve_hand_eye

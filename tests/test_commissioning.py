@@ -166,6 +166,15 @@ def test_a_marker_that_is_not_where_it_is_said_to_be_is_noticed(
     assert not (tmp_path / "map.yaml").exists()
 
 
+def test_a_coloured_blob_serves_as_a_marker(tmp_path: Path) -> None:
+    marker = ["--marker", "color:217,13,191", "--marker-in-hand", "0.09", "0", "0", "--columns", "3"]
+    out = tmp_path / "map.yaml"
+    assert main(["calibrate", "image-to-robot", *marker, "--cell", str(CELL), "--out", str(out)]) == 0
+    spots = grid(open_workspace(), 0.0, (0.0,))
+    errors = ImageToRobot.load(out).to_robot(draw_cell(CELL).project(spots)) - spots[:, :2]
+    assert 1000 * np.sqrt((errors**2).sum(axis=1).mean()) < 1.5
+
+
 def test_an_interrupted_calibration_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = ImageToRobotOptions(
         out=tmp_path / "map.yaml", cell=CELL, columns=3, rows=2, heights=(0.05, 0.15)

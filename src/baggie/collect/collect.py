@@ -22,6 +22,7 @@ from baggie.collect.cell import CollectorCell
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
+from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.processes import stream_in_processes
 from baggie.types import Attempt
@@ -32,8 +33,6 @@ INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
 """The tasks that can be collected, and each in words."""
 PICTURE_SIZE = (640, 360)
 """`(width, height)` of the recorded pictures."""
-CALIBRATION_FOLDER = "calibration"
-"""Where a recording keeps the colour-mask policy of its cell, which holds the map the collector used."""
 COVERAGE_FILE = "coverage.png"
 
 OpenCell = Callable[[int], CollectorCell]

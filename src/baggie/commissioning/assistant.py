@@ -31,8 +31,8 @@ class Assistant(Protocol):
         """Lay a target flat on the table."""
         ...
 
-    def hold(self, target: Target, words: str) -> None:
-        """Fix a target to the hand."""
+    def hold(self, target: Target | None, words: str) -> None:
+        """Fix a target to the hand; None stands for a coloured paddle."""
         ...
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
@@ -78,7 +78,7 @@ class PersonAtTerminal:
         """Ask, and wait."""
         self._ask(words)
 
-    def hold(self, target: Target, words: str) -> None:
+    def hold(self, target: Target | None, words: str) -> None:
         """Ask, and wait."""
         self._ask(words)
 
@@ -102,8 +102,8 @@ class PersonAtTerminal:
         return np.array([forward, left])
 
     def put_away(self) -> None:
-        """Ask, and wait."""
-        self._ask("take the target away")
+        """Say so; whatever comes next waits."""
+        self._console.print("[bold]→[/] the target can be taken away")
 
     def _ask_terminal(self, words: str) -> str:
         if not sys.stdin.isatty():

@@ -84,8 +84,7 @@ def check_live(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions
 def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
     """`(N, 2)` metres: where the map says the marker in the hand is, less where the arm says it is."""
     cell, (find, marker) = bench.workcell(), parse_marker(options.marker)
-    if marker is not None:
-        bench.assistant.hold(marker, "fix the marker to the hand, facing up")
+    bench.assistant.hold(marker, "fix the marker to the hand, facing up")
     rng = seeds.generator(seeds.CALIBRATION, options.seed, 3)
     low, high = min(image_to_robot.heights_m), max(image_to_robot.heights_m)
     in_hand = np.array(options.marker_in_hand)

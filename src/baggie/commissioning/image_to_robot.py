@@ -50,7 +50,9 @@ class ImageToRobotOptions(LiveOptions):
     map_height: float = 0.0
     """The height the saved map is right at, metres: 0 is the table, half an object's height its outline's."""
     columns: int = 4
+    """Of points from right to left."""
     rows: int = 3
+    """Of points from near to far."""
     limit_mm: float = 5.0
     """A map whose points disagree by more, each judged by a fit to the others (RMS), is refused."""
 
@@ -89,10 +91,9 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
     missing = np.array([number for number in range(len(wanted)) if number not in visited], int)
     bench.assistant.clear_table()
     write_picture(folder.folder / REFERENCE_FILE, bench.look().color)
-    if marker is not None:
-        bench.assistant.hold(
-            marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
-        )
+    bench.assistant.hold(
+        marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
+    )
     columns = (
         TextColumn("driving over the workspace"),
         BarColumn(),

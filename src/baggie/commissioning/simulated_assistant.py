@@ -60,9 +60,10 @@ class SimulatedAssistant:
         self._laid, self.T_base_target = target.spec, lying(target, pose)
         self._cell.show_target(target, self.T_base_target)
 
-    def hold(self, target: Target, words: str) -> None:
-        """On the plate in front of the fingertips."""
+    def hold(self, target: Target | None, words: str) -> None:
+        """On the plate in front of the fingertips, or the paddle that the collector uses."""
         self._cell.hold_target(target)
+        self._cell.show_paddle(target is None)
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """There, as exactly as the joints can."""
@@ -84,6 +85,7 @@ class SimulatedAssistant:
     def put_away(self) -> None:
         """Out of hand and view."""
         self._cell.hold_target(None)
+        self._cell.show_paddle(False)
         self._cell.hide_target()
 
 

@@ -22,6 +22,10 @@ CHUNK_FILES = 1000
 DATA_TEMPLATE = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_TEMPLATE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
+CALIBRATION_FOLDER = "calibration"
+"""Where a recording keeps the colour-mask policy of its cell, with the map that the collector used and the picture that
+a watch compares with."""
+
 
 @dataclass(frozen=True)
 class Layout:

@@ -18,16 +18,19 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baggie.collect.calibrate import calibrate_into
+from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.evaluation.episode import Bench, Episode, run_episode
 from baggie.evaluation.log import append_line, read_lines
 from baggie.evaluation.metrics import Rate, success_rate, summary
 from baggie.evaluation.results import provenance, write_json
-from baggie.evaluation.subjects import CALIBRATION_FOLDER, config_of, fingerprint, open_policy, policy_name
+from baggie.evaluation.subjects import config_of, fingerprint, open_policy, policy_name
 from baggie.policies import ColorMaskPolicy, OraclePolicy
 from baggie.policies.color_mask import CONFIG_FILE
 from baggie.processes import stream_in_processes
 from baggie.seeds import EVALUATION
+from baggie.vision.picture_files import read_picture
+from baggie.workcell.watch import REFERENCE_FILE, Watch
 
 TASKS = ("bag-place",)
 RADII_CM = (1.0, 2.0, 3.0)
@@ -87,10 +90,22 @@ def open_simulated_bench(options: EvaluateOptions) -> Bench:
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
     cell = open_simulated(options.cell)
+    reference = _reference(options)
+    cell.watch = Watch(read_picture(reference)) if reference else None
     if options.policy != OraclePolicy.name:
         return Bench(cell, open_policy(options.policy, options.calibration or options.out))
     bench = Bench(cell, OraclePolicy(cell.truth, lambda: bench.goal))
     return bench
+
+
+def _reference(options: EvaluateOptions) -> Path | None:
+    """What the camera saw when the policy's cell was calibrated, if that is known and it is this cell."""
+    folder = Path(options.policy)
+    if options.policy == ColorMaskPolicy.name:
+        folder = (options.calibration or options.out) / CALIBRATION_FOLDER
+    elif config_of(options.policy).get("cell", options.cell) != options.cell:
+        return None
+    return folder / REFERENCE_FILE if (folder / REFERENCE_FILE).exists() else None
 
 
 def evaluate(options: EvaluateOptions, open_bench: OpenBench = open_simulated_bench) -> dict[str, Any]:

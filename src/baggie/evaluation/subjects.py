@@ -6,13 +6,12 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
 
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
-CALIBRATION_FOLDER = "calibration"
-"""Where a recording keeps the colour-mask policy of its cell."""
 
 
 def open_policy(policy: str, calibration: Path | None) -> Policy:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from rich.console import Console
 
 from baggie.data import open_dataset
 from baggie.data.files import read_json
+from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.results import provenance
 from baggie.learning.keypoint import KeypointRecipe
@@ -24,6 +26,7 @@ from baggie.learning.split import RULE, Split
 from baggie.policies import checkpoint
 from baggie.policies.learned import LearnedPolicy
 from baggie.types import Attempt
+from baggie.workcell.watch import REFERENCE_FILE
 
 METRICS = "metrics.json"
 
@@ -67,6 +70,9 @@ def train(options: TrainOptions, attempts: Sequence[Attempt] | None = None) -> d
     }
     if accelerator.is_main_process:
         policy.save_pretrained(options.out)
+        reference = options.data / CALIBRATION_FOLDER / REFERENCE_FILE
+        if reference.exists():  # so that whoever runs the policy notices that the camera has moved since
+            shutil.copyfile(reference, options.out / REFERENCE_FILE)
         content = json.dumps(metrics, indent=2, allow_nan=False).encode()
         checkpoint.write_files(options.out, {METRICS: content})  # last: where it is, all is there
     return metrics

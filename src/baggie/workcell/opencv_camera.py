@@ -23,6 +23,7 @@ class OpenCVCamera:
         self.intrinsics: Intrinsics | None = None
         number = int(source) if source.isdigit() else None
         self._live = number is not None or source.startswith(("/dev/", "rtsp://", "http://", "https://"))
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we say it in one line ourselves
         self._capture = cv2.VideoCapture(source if number is None else number)
         if not self._capture.isOpened():
             raise CameraError(
