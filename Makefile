@@ -31,6 +31,7 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: hou
 	$(BIN)/python benchmarks/collection.py --out runs/recording
 	$(BIN)/python benchmarks/policies.py --data runs/recording --runs runs
 	$(BIN)/python benchmarks/media.py --policy runs/keypoint
+	$(BIN)/python benchmarks/learned_map.py --policy runs/keypoint --data runs/recording
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
 

@@ -75,7 +75,11 @@ class SimulatedAssistant:
         if self._laid != target.spec:
             self.lay(target, "")
         T_base_world = self.T_base_target @ invert_transform(T_world_target(target))
-        tip = transform_points(T_base_world, point[None])[0] + self._rng.normal(0.0, TOUCH_STD_M, 3)
+        x, y = np.rint(1000 * point[:2]).astype(
+            int
+        )  # each point has a stream of its own, whenever it is touched
+        noise = seeds.generator(seeds.CALIBRATION, self._seed, 5, int(x), int(y)).normal(0.0, TOUCH_STD_M, 3)
+        tip = transform_points(T_base_world, point[None])[0] + noise
         self._cell.lead_hand(rigid(np.diag([1.0, -1.0, -1.0]), tip + np.array([0.0, 0.0, PROBE_M])))
 
     def measure_touch(self, words: str) -> FloatArray | None:

@@ -19,10 +19,10 @@ def T_world_target(target: Target) -> FloatArray:
 
 
 def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArray]]:
-    """Points of a target that are worth touching, each with words for where it is: `(3,)` metres, world frame.
+    """Points of a target that are worth touching, with words for where each is: `(3,)` metres, world frame.
 
-    The origin, the far end of the x axis and of the y axis; unless `axes_only`, the opposite corner and the middle of
-    the longer side as well, so that a wrong touch shows.
+    The origin, the far end of the x axis and of the y axis; unless `axes_only`, the opposite corner and, of a board, the
+    middle of each side as well: then a wrong touch shows, and the others make up for one another.
     """
     points = transform_points(T_world_target(target), target.points)
     width, height = points[:, 0].max(), points[:, 1].max()
@@ -34,9 +34,14 @@ def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArr
     ]
     if not axes_only:
         wanted.append((f"the upper right {corner}", (width, height)))
-        if len(points) > 4:
-            nearest = points[np.argmin(np.linalg.norm(points[:, :2] - [width / 2, height], axis=1))]
-            wanted.append(
-                (f"the {corner} in the upper row, {1000 * nearest[0]:.0f} mm from its left end", nearest[:2])
-            )
+    if not axes_only and len(points) > 4:
+        middles = {
+            "lower": (width / 2, 0.0),
+            "right": (width, height / 2),
+            "upper": (width / 2, height),
+            "left": (0.0, height / 2),
+        }
+        for side, middle in middles.items():
+            x, y = points[np.argmin(np.linalg.norm(points[:, :2] - middle, axis=1)), :2]
+            wanted.append((f"the {corner} on the {side} side at {1000 * x:.0f}, {1000 * y:.0f} mm", (x, y)))
     return [(words, np.array([x, y, 0.0])) for words, (x, y) in wanted]
