@@ -19,10 +19,10 @@ def T_world_target(target: Target) -> FloatArray:
 
 
 def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArray]]:
-    """Points of a target that are worth touching, with words for where each is: `(3,)` metres, world frame.
+    """Points of a target worth touching, with words for where each is: `(3,)` metres, world frame.
 
-    The origin, the far end of the x axis and of the y axis; unless `axes_only`, the opposite corner and, of a board, the
-    middle of each side as well: then a wrong touch shows, and the others make up for one another.
+    The origin, the far ends of the x axis and of the y axis; unless `axes_only`, the opposite corner and, of a board,
+    the middle of each side as well: then a wrong touch shows, and the others make up for one another.
     """
     points = transform_points(T_world_target(target), target.points)
     width, height = points[:, 0].max(), points[:, 1].max()

@@ -99,7 +99,11 @@ class Charuco:
 
     def _detect_as_laid_out(self, image: Image) -> Seen | None:
         grey = _grey(image)
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(self.board).detectBoard(grey)
+        parameters = cv2.aruco.CharucoParameters()
+        parameters.tryRefineMarkers = (
+            True  # a blurred board whose markers are 18 pixels: 71 of 77 corners, not 14
+        )
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(self.board, parameters).detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
         index = np.asarray(ids.ravel(), np.int64)
