@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from baggie.calibration.hand_eye.solve import HandEye
+from baggie.calibration.hand_eye.result import HandEye
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot

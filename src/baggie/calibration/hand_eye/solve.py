@@ -1,8 +1,7 @@
 """Where the camera is on the robot: hand-eye calibration, from poses of the hand and views of a printed board.
 
 Seven closed forms and our refinements all solve the same views; each view is left out in turn and predicted from the
-others, and the method that does this best is taken. So the result is never worse, by that measure, than the best
-closed form.
+others, and a method is taken that does this at least as well as the best closed form.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ from baggie.calibration.hand_eye.compare import Candidate, best_of, compare, unc
 from baggie.calibration.hand_eye.lens import lens_share
 from baggie.calibration.hand_eye.refine import Pair, refine
 from baggie.calibration.hand_eye.result import HandEye, MethodErrors
-from baggie.calibration.hand_eye.views import HandEyeViews, read_views
-
-__all__ = ["HandEye", "HandEyeViews", "read_views", "solve_hand_eye"]
+from baggie.calibration.hand_eye.views import HandEyeViews
 
 _SCALE_OFF = 0.01
 _SCALE_STDS = 5.0
