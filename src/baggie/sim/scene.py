@@ -32,6 +32,9 @@ TABLE_HEIGHT_M = 0.75
 HOME = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.7853])  # a raised, bent elbow; the tool points down
 FINGER_GAIN = 10_000.0  # N/m; the stock 100 N/m presses with 2 to 4 N and loses the bag
 FINGER_DAMPING = 300.0
+WRIST_DAMPING = (
+    0.5  # of the file's; with all of it the tool may be 4 mm off, and swinging, when a motion is over
+)
 PADDLE_OFFSET_M = 0.09
 PADDLE_RADIUS_M = 0.025
 # In front of the fingertips as the paddle is; at yaw 0 upright in the overhead picture. With the arm stretched out, the
@@ -123,6 +126,9 @@ def arm_spec() -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
+    for joint in (5, 6, 7):
+        # As stiff as it is damped in the file, the light wrist never comes to rest at our time steps.
+        spec.actuator(f"fr3_joint{joint}").biasprm[2] *= WRIST_DAMPING
     grip = spec.actuator("hand")
     # Position control of the mean finger opening (metres) with a force limit that `World.set_grip_force` moves.
     grip.gainprm[0] = FINGER_GAIN
