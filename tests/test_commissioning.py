@@ -69,9 +69,10 @@ def test_the_simulated_cell_calibrates_itself_to_the_millimetre(calibrated: Path
     assert 1000 * np.sqrt((errors**2).mean()) < 1.5
 
     T_base_camera = invert_transform(cell.T_camera_base)
+    assert HandEye.load(calibrated / "hand-eye.yaml").leave_one_out_mm < 2.0
     for found in (
         CameraToRobot.load(calibrated / "camera-to-robot.yaml").pose.transform,
-        HandEye.load(calibrated / "hand-eye.yaml").transform.transform,
+        CameraToRobot.load(calibrated / "hand-eye-camera-to-robot.yaml").pose.transform,
     ):
         shift, turn = difference(found, T_base_camera)
         assert 1000 * shift < 3.0

@@ -10,10 +10,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
+from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.picture import draw_views
+from baggie.calibration.hand_eye.result import HandEye
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.world.camera_to_robot import CameraToRobot, compare
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import HAND_BOARD
 from baggie.commissioning.view_folder import ViewFolder
@@ -56,7 +59,30 @@ def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:
     result.save(options.out)
     picture = options.out.with_suffix(".png")
     draw_views(result, picture)
-    return {"calibration": str(options.out), "picture": str(picture), **result.summary()}
+    summary: dict[str, Any] = {"calibration": str(options.out), "picture": str(picture), **result.summary()}
+    if result.mount == "fixed" and result.camera is not None:
+        summary["camera_to_robot"] = _camera_to_robot(result.camera, result, options.out)
+    summary["next"] = (
+        "take the views that were dropped again" if result.dropped else "name the result in the workcell file"
+    )
+    return summary
+
+
+def _camera_to_robot(camera: CameraIdentity, result: HandEye, out: Path) -> dict[str, Any]:
+    """Save the pose of a fixed camera as such, for the workcell file, and compare it with a composed one beside it."""
+    found = CameraToRobot(camera, result.transform, f"hand-eye: {result.method}, {len(result.views)} views")
+    path = out.with_name(f"{out.stem}-camera-to-robot.yaml")
+    found.save(path)
+    summary: dict[str, Any] = {"calibration": str(path)}
+    composed = out.with_name("camera-to-robot.yaml")
+    if composed.exists():
+        comparison = compare(found, CameraToRobot.load(composed, camera))
+        summary["against_the_composed_one"] = {
+            "mm": comparison.mm,
+            "deg": comparison.deg,
+            "agree": comparison.agree,
+        }
+    return summary
 
 
 def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:

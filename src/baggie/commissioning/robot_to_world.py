@@ -53,6 +53,9 @@ def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
         composed = compose(CameraToWorld.load(options.camera_to_world), result)
         path = options.out.with_name("camera-to-robot.yaml")
         composed.save(path)
+        summary["next"] = (
+            "name camera-to-robot.yaml in the workcell file; baggie calibrate hand-eye is the stronger way"
+        )
         summary["camera_to_robot"] = {"calibration": str(path), **composed.summary()}
     return summary
 
