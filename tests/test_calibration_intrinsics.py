@@ -106,6 +106,21 @@ def test_any_lens_is_recovered_from_exact_corners(focal, center, k1, p, seed):
     assert picture_error(fit.intrinsics, lens) < 1e-4
 
 
+def test_a_view_with_little_more_than_one_row_does_not_decide_about_the_lens():
+    good = views(18)
+    cut = []
+    for view in views(3, seed=7):
+        row = np.isin(view.seen.ids, [0, 1, 2, 3, 4, 5, 6, 8])  # a whole row of six and two more
+        seen = replace(
+            view.seen, ids=view.seen.ids[row], pixels=view.seen.pixels[row], points=view.seen.points[row]
+        )
+        cut.append(replace(view, name=f"cut {view.name}", seen=seen))
+    found = fit_intrinsics([*good, *cut], CAMERA, BOARD)
+    without = fit_intrinsics(good, CAMERA, BOARD)
+    assert found.terms == without.terms
+    assert picture_error(found.intrinsics, TRUE) < 2 * picture_error(without.intrinsics, TRUE)
+
+
 def test_the_size_of_the_board_plays_no_part(calibration):
     larger = [BoardView(v.name, replace(v.seen, points=3 * v.seen.points)) for v in views(14)]
     fit = fit_intrinsics(larger, CAMERA, BOARD)

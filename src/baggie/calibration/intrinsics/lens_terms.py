@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from baggie.calibration.intrinsics.lens_bundle import LensFit, board_pose, fit_lens, search_lens, subset
 from baggie.calibration.pose import residuals_px
+from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 from baggie.vision.targets import Seen
@@ -86,16 +88,19 @@ def _held_out(
 ) -> FloatArray:
     """`(V,)` square pixels: the error of each view by a lens fitted to the others, a few views' far too great ones cut.
 
-    Of a board that is hardly in the picture, half of the corners may lie in one line and place it anywhere.
+    Of a board that is hardly in the picture, half of the corners may lie in one line and place it anywhere, or nowhere:
+    such a view takes no part.
     """
     folds = min(_FOLDS, len(seen))
-    errors = np.zeros(len(seen))
+    errors = np.full(len(seen), np.nan)
     for fold in range(folds):
         others = [view for i, view in enumerate(seen) if i % folds != fold]
         lens, _ = search_lens(others, size, terms, start)
         for i in range(fold, len(seen), folds):
-            errors[i] = held_out_error(seen[i], lens)
-    return np.minimum(errors, _MOST_TIMES * np.median(errors))
+            with suppress(CalibrationError):
+                errors[i] = held_out_error(seen[i], lens)
+    usual = float(np.nanmedian(errors))
+    return np.asarray(np.minimum(np.nan_to_num(errors, nan=usual), _MOST_TIMES * usual))
 
 
 def _with_doubt(fits: Sequence[LensFit], chosen: int) -> FloatArray:
