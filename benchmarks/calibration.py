@@ -58,6 +58,13 @@ RESULTS = Path("docs/results")
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
 NOISE_PX, TOUCH_M = 0.2, 0.0003
 WRONG = 0.2
+INSIDE, STATED = "in 95%", "stated mm"
+COLUMNS = (
+    "calibration",
+    "from",
+    "cells",
+    *(f"{u} {s}" for u in ("mm", "deg") for s in ("median", "RMS", "worst")),
+)
 Truth = dict[str, Any]
 
 
@@ -381,9 +388,10 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, object]]:
     lines: list[dict[str, object]] = []
     for kind, words in (("exact", "exact detections"), ("pictures", "pictures")):
         for name in rows[0][kind]:
-            lines.append(
-                {"calibration": name, "from": words, **_over_cells([row[kind].get(name, {}) for row in rows])}
-            )
+            over_cells = _over_cells([row[kind].get(name, {}) for row in rows])
+            if kind == "exact":  # there is nothing to be uncertain about
+                over_cells = {key: value for key, value in over_cells.items() if key not in (INSIDE, STATED)}
+            lines.append({"calibration": name, "from": words, **over_cells})
     for name in rows[0]["wrong"]:
         clean, spoiled = (
             np.array([row["wrong"][name][key] for row in rows]) for key in ("clean_mm", "wrong_mm")
@@ -397,7 +405,8 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, object]]:
                 "times the error without": float(np.sqrt((spoiled**2).mean() / (clean**2).mean())),
             }
         )
-    return lines
+    blank = dict.fromkeys(COLUMNS, "")
+    return [{**blank, **line} for line in lines]
 
 
 def _over_cells(found: list[Truth]) -> dict[str, object]:
@@ -407,8 +416,8 @@ def _over_cells(found: list[Truth]) -> dict[str, object]:
         if good and unit in good[0]:
             line.update(_spread(unit, np.array([truth[unit] for truth in good])))
     if good and "inside" in good[0]:
-        line["in 95%"] = f"{np.mean([truth['inside'] for truth in good]):.0%}"
-        line["stated mm"] = float(np.sqrt(np.mean([truth["stated_mm"] ** 2 for truth in good])))
+        line[INSIDE] = f"{np.mean([truth['inside'] for truth in good]):.0%}"
+        line[STATED] = float(np.sqrt(np.mean([truth["stated_mm"] ** 2 for truth in good])))
     return line
 
 
