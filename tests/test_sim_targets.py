@@ -215,7 +215,7 @@ def test_a_led_arm_is_where_it_was_led_and_then_works_as_ever(clear: SimulatedWo
     clear.world.advance(0.5)
     assert difference(clear.arm.hand_pose(), reached)[0] < 0.001  # it stays there
     target = ToolPose(0.5, -0.1, 0.2, -0.3)
-    clear.arm.move_to(target, 0.8)
+    clear.arm.move_to(target, 0.3)
     off_m, off_rad = difference(clear.arm.hand_pose(), hand_matrix(target))
     assert off_m < 0.002
     assert off_rad < 0.01
