@@ -19,14 +19,19 @@ def _lines(result: Mapping[str, Any], indent: str = "") -> list[str]:
         name = str(key).replace("_", " ")
         if isinstance(value, Mapping) and any(isinstance(inner, Mapping) for inner in value.values()):
             lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
-        elif isinstance(value, Mapping):
-            lines.append(f"{indent}{name}: " + ", ".join(f"{k} {_number(v)}" for k, v in value.items()))
         elif isinstance(value, (list, tuple)) and len(value) > 12:
             lines.append(f"{indent}{name}: {len(value)} entries")
         else:
-            lines.append(f"{indent}{name}: {_number(value)}")
+            lines.append(f"{indent}{name}: {_words(value)}")
     return lines
 
 
-def _number(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def _words(value: Any, digits: int = 3) -> str:
+    """A value in short; the numbers of matrices with two more digits, the files have them all."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_words(inner, digits)}" for key, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_words(inner, 5) for inner in value) + "]" if value else "none"
+    return str(value)

@@ -90,7 +90,9 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
     visited = {view["point"] for view in folder.views}
     missing = np.array([number for number in range(len(wanted)) if number not in visited], int)
     bench.assistant.clear_table()
-    write_picture(folder.folder / REFERENCE_FILE, bench.look().color)
+    reference = folder.folder / REFERENCE_FILE
+    if not reference.exists():  # what goes on must not forget where the camera stood when it was begun
+        write_picture(reference, bench.look().color)
     bench.assistant.hold(
         marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
     )

@@ -37,10 +37,7 @@ def check_marker_offset(
     shift, std = np.zeros(2), np.zeros(2)
     for _ in range(_ROUNDS):
         steps = [shift, *(shift + step for step in _STEP_M * np.eye(2))]
-        fits = [
-            fit(transform_points_each(T_base_hand, marker_in_hand + np.append(step, 0.0))).residuals
-            for step in steps
-        ]
+        fits = [fit(_each(T_base_hand, marker_in_hand + np.append(step, 0.0))).residuals for step in steps]
         used = np.logical_and.reduce([residuals.kept for residuals in fits])
         here, *beside = ((residuals.error_mm[used] / 1000).ravel() for residuals in fits)
         slopes = np.stack([there - here for there in beside], axis=1) / _STEP_M
@@ -55,6 +52,6 @@ def check_marker_offset(
         )
 
 
-def transform_points_each(transforms: FloatArray, point: FloatArray) -> FloatArray:
+def _each(transforms: FloatArray, point: FloatArray) -> FloatArray:
     """One point `(3,)` through each of `(N, 4, 4)` transforms: `(N, 3)`."""
     return np.asarray(transforms[:, :3, :3] @ point + transforms[:, :3, 3])
