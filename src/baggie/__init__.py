@@ -1,7 +1,7 @@
 """Baggie: a robot that teaches itself to pick up and place soft things.
 
 cell = baggie.open_workcell("sim")
-policy = baggie.load_policy("runs/keypoint")
+policy = baggie.Policy.from_pretrained("runs/keypoint")
 outcome = cell.execute(policy.plan(cell.look(), goal).action)
 """
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from baggie.policies import Policy
     from baggie.workcell.workcell import Workcell
 
-__all__ = ["load_policy", "open_dataset", "open_workcell"]
+__all__ = ["Policy", "load_policy", "open_dataset", "open_workcell"]
 
 gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
 
@@ -43,3 +43,11 @@ def open_dataset(root: str | Path) -> Dataset:
     from baggie.data import open_dataset as open_  # noqa: PLC0415
 
     return open_(root)
+
+
+def __getattr__(name: str) -> object:
+    if name == "Policy":
+        from baggie.policies import Policy as policy  # noqa: PLC0415
+
+        return policy
+    raise AttributeError(f"module 'baggie' has no attribute {name!r}")

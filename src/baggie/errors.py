@@ -27,3 +27,7 @@ class CalibrationError(BaggieError):
 
 class BumpedError(BaggieError):
     """The camera or the table is no longer where it was when the workcell was calibrated."""
+
+
+class UnsureError(BaggieError):
+    """A plan is less sure than the workcell asks for; nothing has moved, and a person is asked."""

@@ -15,7 +15,8 @@ from baggie.geometry import FloatArray, PlanarPose
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
 
-GoalStyle = Literal["outline", "solid"]
+GoalStyle = Literal["outline", "solid", "card"]
+"""How a goal shows in the picture: as a drawn outline or patch, or as a card that really lies there: nobody draws it."""
 Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled"]
 
 
@@ -97,6 +98,8 @@ class Goal:
     style: GoalStyle = "solid"
     color: tuple[int, int, int] = (0, 200, 0)
     """RGB."""
+    object_at: tuple[float, float] | None = None
+    """A pixel (u, v) on the object to be moved, where several lie there; None leaves the choice to the policy."""
 
     @property
     def center(self) -> FloatArray:
@@ -106,7 +109,11 @@ class Goal:
     def scaled(self, factor_u: float, factor_v: float) -> Goal:
         """The same goal in a picture resized by these factors (pixel centres are at integer (u, v))."""
         factors = np.array([factor_u, factor_v])
-        return replace(self, corners=(self.corners + 0.5) * factors - 0.5)
+        object_at = self.object_at
+        if object_at is not None:
+            u, v = (np.array(object_at) + 0.5) * factors - 0.5
+            object_at = (float(u), float(v))
+        return replace(self, corners=(self.corners + 0.5) * factors - 0.5, object_at=object_at)
 
 
 @dataclass(frozen=True)
@@ -135,6 +142,10 @@ class Plan:
     action: PickPlace
     confidence: float = 1.0
     """In [0, 1]; 1 where the policy has no doubt or cannot tell."""
+    pick_within_m: float | None = None
+    """The radius around the pick that holds the object's true middle nine times of ten; None where it cannot tell."""
+    place_within_m: float | None = None
+    """The same for the place: around it the object has to be let go to end on the goal."""
     views: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Heat maps by name, `(h, w)` float32 in [0, 1], of the whole picture at any resolution."""
 

@@ -13,6 +13,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
+from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
 from baggie.vision.color_mask import find_bag
 
@@ -20,7 +21,7 @@ CONFIG_FILE = "config.yaml"
 MAP_FILE = "image-to-robot.yaml"
 
 
-class ColorMaskPolicy:
+class ColorMaskPolicy(Policy):
     """Picks the object where its colour is, places it where the goal's outline is; right in one cell."""
 
     name = "color-mask"
@@ -52,7 +53,7 @@ class ColorMaskPolicy:
             )
         pick = _pose(to_robot, found.center, found.yaw)
         place = _pose(to_robot, goal.center, _goal_yaw(goal))
-        return Plan(PickPlace(pick, place), found.confidence, {"object": found.mask.astype(np.float32)})
+        return Plan(PickPlace(pick, place), found.confidence, views={"object": found.mask.astype(np.float32)})
 
     def save(self, folder: Path) -> None:
         """Write `image-to-robot.yaml`, then `config.yaml`: where that is, all is."""

@@ -98,7 +98,7 @@ class KeypointPolicy(LearnedPolicy):
         action = PickPlace(PlanarPose(pick_x, pick_y, yaw), PlanarPose(place_x, place_y, place_yaw))
         heat = found.heat[0].cpu().numpy()
         views = {name: self._over_picture(map_) for name, map_ in zip(("pick", "place"), heat, strict=True)}
-        return Plan(action, min(sure), views)
+        return Plan(action, min(sure), views=views)
 
     def _yaw_of(self, goal: Goal) -> float:
         """The direction of the goal's sides on the table, radians in [-45°, 45°), long sides counting more."""

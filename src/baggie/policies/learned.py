@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +14,7 @@ from torch import nn
 
 from baggie.errors import BaggieError, DataError
 from baggie.policies import checkpoint
+from baggie.policies.base import Policy
 from baggie.types import Goal, Image, Observation, Plan
 from baggie.vision.draw import check_goal
 
@@ -38,10 +39,8 @@ plan = policy.plan(observation, goal)
 """
 
 
-class LearnedPolicy(ABC):
+class LearnedPolicy(Policy):
     """A network that belongs to one cell. Subclasses say how to build it and how to plan with it."""
-
-    name: str
 
     def __init__(self, network: nn.Module, picture_size: tuple[int, int], cell: int) -> None:
         """`picture_size`: `(width, height)` of its training pictures; `cell`: where they were taken."""

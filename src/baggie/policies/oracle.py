@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from baggie.geometry import PlanarPose
+from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
 
 
-class OraclePolicy:
+class OraclePolicy(Policy):
     """Picks the bag where it truly is and places it at the goal's true pose. For evaluation in simulation
     only.
     """
