@@ -21,13 +21,16 @@ from baggie.evaluation.metrics import yaw_error_deg
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.background import deferred_interrupt, prefetched
-from baggie.learning.keypoint import KeypointRecipe
+from baggie.learning.certainty import calibrate
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.split import Split
 from baggie.learning.state import FILE
-from baggie.policies import load_policy, planar_map
+from baggie.policies import KeypointPolicy, load_policy, planar_map
+from baggie.policies.resnet import ResNet18
 from baggie.types import Goal, Observation
+from baggie.vision.draw import paint_goal
 from policy_contract import check_policy
 from synthetic import box_corners, make_attempt
 
@@ -149,7 +152,7 @@ def test_warped_pictures_are_where_their_coordinates_say():
     """f is exact here: it finds the one dot in the warped picture, which must lead back to where it was."""
     dots = [attempt.box_before.mean(axis=0) for attempt in ATTEMPTS]
     attempts = [with_a_dot(attempt, dot) for attempt, dot in zip(ATTEMPTS, dots, strict=True)]
-    recipe = KeypointRecipe(attempts)
+    recipe = KeypointRecipe(attempts, KeypointOptions(new_looks=0.0))
     normalized = apply_homography(recipe.policy.view.normalize(), np.array(dots))
     batch = recipe.batch(np.random.default_rng(0))
     half_pixels = []
@@ -318,9 +321,71 @@ def test_a_device_that_is_not_there(tmp_path):
         train(options(tmp_path, device="cuda"), ATTEMPTS)
 
 
-def test_weights_are_for_the_regressor(tmp_path):
-    with pytest.raises(BaggieError, match="regression"):
+def test_weights_are_for_a_resnet(tmp_path):
+    with pytest.raises(BaggieError, match="add --backbone resnet18"):
         train(options(tmp_path, weights="some/where"), ATTEMPTS)
+
+
+def test_a_keypoint_policy_starts_from_published_weights(tmp_path):
+    published = ResNet18().state_dict()
+    torch.save(published, tmp_path / "resnet18.pth")
+    chosen = KeypointOptions(backbone="resnet18", weights=str(tmp_path / "resnet18.pth"))
+    features = KeypointRecipe(ATTEMPTS, chosen).policy.network.features.state_dict()
+    assert torch.equal(features["layer2.1.conv2.weight"], published["layer2.1.conv2.weight"])
+    assert torch.equal(features["conv1.weight"], published["conv1.weight"])
+
+
+@pytest.mark.parametrize("changes", [{"backbone": "resnet18"}, {"goal_input": "painted"}, {"new_looks": 1.0}])
+def test_every_kind_of_keypoint_policy_trains_and_loads(tmp_path, changes):
+    train(options(tmp_path, steps=2, **changes), ATTEMPTS)
+    policy = load_policy(tmp_path)
+    assert isinstance(policy, KeypointPolicy)
+    with torch.no_grad():
+        policy.network.heat.weight.mul_(300)  # as sure as a trained one
+    check_policy(policy, ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
+
+
+def test_a_real_card_is_seen_and_not_drawn(overfitted, tmp_path):
+    """A painted policy plans alike for a goal it paints and for a card that was there before."""
+    train(options(tmp_path, steps=2, goal_input="painted", goal_color=(10, 180, 60)), ATTEMPTS)
+    policy = load_policy(tmp_path)
+    with torch.no_grad():
+        policy.network.heat.weight.mul_(300)
+    drawn = goal_of(ATTEMPTS[0])
+    there = replace(
+        ATTEMPTS[0].before, color=paint_goal(ATTEMPTS[0].before.color, replace(drawn, color=(10, 180, 60)))
+    )
+    card = policy.plan(there, replace(drawn, style="card")).action
+    assert policy.plan(ATTEMPTS[0].before, drawn).action.place.distance(card.place) < 0.003
+
+
+# --- how sure it may be
+# ---------------------------------------------------------------------------------------------
+
+
+def test_radii_hold_nine_of_ten_errors_of_the_attempts_they_were_set_on(overfitted):
+    policy = load_policy(overfitted)
+    held_out = make_attempts(30)[10:]
+    times = calibrate(policy, held_out)
+    assert times is not None
+    inside = []
+    for attempt in held_out:
+        plan, executed = policy.plan(attempt.before, goal_of(attempt)), attempt.outcome.executed
+        inside.append(
+            [
+                plan.action.pick.distance(executed.pick) <= plan.pick_within_m + 1e-6,
+                plan.action.place.distance(executed.place) <= plan.place_within_m + 1e-6,
+            ]
+        )
+    assert np.sum(inside, axis=0).tolist() == [19, 19]  # ⌈0.9 · 21⌉ of 20
+
+
+def test_without_enough_held_out_attempts_nothing_is_said(overfitted):
+    policy = load_policy(overfitted)
+    assert calibrate(policy, ATTEMPTS[:9]) is None
+    plan = policy.plan(ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
+    assert plan.pick_within_m is None
+    assert plan.place_within_m is None
 
 
 # --- helpers

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from baggie.errors import DataError
 from baggie.geometry import apply_homography
 from baggie.policies import phase, planar_map
+from baggie.policies.keypoint_plan import place_yaw
 from baggie.policies.planar_map import PlanarMap
-from baggie.policies.soft_argmax import gaussians, heat_maps, soft_argmax
+from baggie.policies.soft_argmax import gaussians, heat_maps, local_soft_argmax, near_only, soft_argmax
 from baggie.policies.view import View
 from synthetic import BAG_HEIGHT_M, to_pixels
 
@@ -28,6 +29,33 @@ def test_soft_argmax_recovers_a_gaussians_centre(u, v, sigma):
     ):
         assert heat.sum().item() == pytest.approx(1, abs=1e-4)
         assert soft_argmax(heat)[0, 0].tolist() == pytest.approx([u, v], abs=0.01)
+
+
+@given(st.floats(10, 16), st.floats(10, 16), st.floats(28, 34), st.floats(8, 20))
+def test_something_alike_further_away_does_not_pull(u, v, other_u, other_v):
+    centre, other = torch.tensor([[[u, v]]]), torch.tensor([[[other_u, other_v]]])
+    logits = (gaussians(centre, 1.5, 28, 40) + 0.6 * gaussians(other, 1.5, 28, 40)).clamp_min(1e-30).log()
+    assert local_soft_argmax(logits, 6.0)[0, 0].tolist() == pytest.approx([u, v], abs=0.1)
+    pointed_at = near_only(logits, other + torch.tensor([2.0, -1.0]), 8.0)
+    assert local_soft_argmax(pointed_at, 6.0)[0, 0].tolist() == pytest.approx([other_u, other_v], abs=0.1)
+
+
+def rectangle(yaw: float, length: float, width: float) -> np.ndarray:
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
+    c, s = math.cos(yaw), math.sin(yaw)
+    return corners @ np.array([[c, s], [-s, c]]) + [0.5, 0.1]
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-math.pi / 4, math.pi / 4), st.integers(0, 3))
+def test_a_place_lies_along_the_goal_and_turns_the_hand_least(goal_yaw, pick_yaw, first_corner):
+    square = np.roll(rectangle(goal_yaw, 0.12, 0.12), first_corner, axis=0)
+    yaw = place_yaw(square, 4, pick_yaw)
+    assert math.remainder(yaw - goal_yaw, math.pi / 2) == pytest.approx(0, abs=1e-6)
+    assert abs(yaw - pick_yaw) <= math.pi / 4 + 1e-6
+    long = np.roll(rectangle(goal_yaw, 0.18, 0.11), first_corner, axis=0)
+    yaw = place_yaw(long, 2, pick_yaw)
+    assert math.remainder(yaw - goal_yaw, math.pi) == pytest.approx(0, abs=1e-6)
+    assert abs(yaw - pick_yaw) <= math.pi / 2 + 1e-6
 
 
 def drawn_pairs(count: int, noise_m: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -97,18 +125,19 @@ def test_jacobians_agree_with_automatic_differentiation(seed, u, v):
 @given(
     st.floats(-math.pi / 4, math.pi / 4 - 1e-3),
     st.floats(-math.pi, math.pi),
-    st.floats(0.6, 1.6),
+    st.floats(0.75, 1.3),
     st.booleans(),
+    st.sampled_from([phase.SQUARE, phase.LONG]),
 )
-def test_yaw_survives_any_view(yaw, turn, stretch, mirrored):
+def test_yaw_survives_any_view(yaw, turn, stretch, mirrored, symmetry):
     c, s = math.cos(turn), math.sin(turn)
     rotation = np.array([[c, -s], [s, c]]) @ np.diag([stretch, -1.0 if mirrored else 1.0])
     jacobian = torch.from_numpy(0.004 * rotation)
     angle = torch.tensor(yaw, dtype=torch.float64)
-    there = phase.phase_of(angle, jacobian)
+    there = phase.phase_of(angle, jacobian, symmetry)
     assert there.norm().item() == pytest.approx(1)
-    back = phase.yaw_of(there, jacobian).item()
-    assert math.remainder(back - yaw, math.pi / 2) == pytest.approx(0, abs=1e-3)
+    back = phase.yaw_of(there, jacobian, symmetry).item()
+    assert math.remainder(back - yaw, 2 * math.pi / symmetry) == pytest.approx(0, abs=1e-3)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.errors import BaggieError, LimitError, ReachError
+from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
-from baggie.types import PickPlace
+from baggie.types import PickPlace, Plan
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.camera import Camera
 from baggie.workcell.config import read_workcell_file
@@ -66,6 +66,11 @@ class RecordingArm:
 
     def stop(self) -> None:
         self.log.append("stop")
+
+
+class TimelessCell(Workcell):
+    def clock(self) -> float:
+        return 0.0
 
 
 def guarded() -> tuple[GuardedArm, RecordingArm]:
@@ -153,17 +158,57 @@ def test_what_cannot_be_placed_is_put_back() -> None:
                 raise ReachError("too far")
             return super().move_to(target, speed_m_s)
 
-    class Cell(Workcell):
-        def clock(self) -> float:
-            return 0.0
-
     arm = ShortArm()
-    cell = Cell(arm, cast(Camera, None), SETTINGS)
     with pytest.raises(ReachError):
-        cell.execute(PickPlace(start, beyond))
+        TimelessCell(arm, cast(Camera, None), SETTINGS).execute(PickPlace(start, beyond))
     let_go = arm.log.index(f"gripper {SETTINGS.handling.release_width_m:.3f}")
     assert "grasp" in arm.log[:let_go]
     assert arm.at.planar == start
+
+
+radii = st.none() | st.floats(0.0, 0.2) | st.just(math.nan)
+
+
+@given(radii, radii)
+def test_only_a_plan_that_is_sure_enough_moves_the_arm(pick_m: float | None, place_m: float | None) -> None:
+    plan = Plan(PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.2, 0.3)), 1.0, pick_m, place_m)
+    arm = RecordingArm()
+    cell = TimelessCell(arm, cast(Camera, None), SETTINGS)
+    if all(radius is None or radius <= SETTINGS.sure_within_m for radius in (pick_m, place_m)):
+        assert cell.carry_out(plan).executed == plan.action
+    else:
+        with pytest.raises(UnsureError):
+            cell.carry_out(plan)
+        assert not arm.log
+
+
+def test_an_unsure_plan_says_what_is_unsure_how_much_is_allowed_and_what_to_do() -> None:
+    plan = Plan(PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.2)), 1.0, 0.01, 0.045)
+    with pytest.raises(UnsureError) as raised:
+        TimelessCell(RecordingArm(), cast(Camera, None), SETTINGS).carry_out(plan)
+    message = str(raised.value)
+    assert "sure within 30 mm, got the place within 45 mm;" in message
+    assert "sure_within_m" in message
+    assert "pick" not in message
+    assert "\n" not in message
+
+
+def test_the_workcell_may_ask_for_more(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("sure_within_m: 0.01\n")
+    assert read_workcell_file(path).sure_within_m == 0.01
+    plan = Plan(PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.2)), 1.0, 0.02)
+    strict = replace(SETTINGS, sure_within_m=0.01)
+    with pytest.raises(UnsureError, match="within 10 mm, got the pick within 20 mm"):
+        TimelessCell(RecordingArm(), cast(Camera, None), strict).carry_out(plan)
+
+
+def test_a_plan_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:
+    arm = RecordingArm()
+    plan = Plan(PickPlace(PlanarPose(0.5, 0.1), PlanarPose(1.5, 0.0)))
+    with pytest.raises(LimitError):
+        TimelessCell(arm, cast(Camera, None), SETTINGS).carry_out(plan)
+    assert not arm.log
 
 
 def test_a_workcell_file_is_read(tmp_path: Path) -> None:
@@ -177,6 +222,7 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("bag:\n  mass_kg: -1\n", r"bag\.mass_kg: .*greater than 0\.02, got -1"),
+        ("sure_within_m: 0\n", r"sure_within_m: .*greater than 0, got 0"),
         ("camera: usb\n", r"camera: Extra inputs are not permitted"),
         ("cell: [", "is no YAML"),
     ],

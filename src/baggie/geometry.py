@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,11 @@ from scipy.spatial.transform import Rotation
 FloatArray = NDArray[np.float64]
 
 
-def wrap_angle(angle: float, period: float = 2 * math.pi) -> float:
+@overload
+def wrap_angle(angle: float, period: float = ...) -> float: ...
+@overload
+def wrap_angle(angle: FloatArray, period: float = ...) -> FloatArray: ...
+def wrap_angle(angle: float | FloatArray, period: float = 2 * math.pi) -> float | FloatArray:
     """The angle (radians) modulo `period`, in [-period/2, period/2)."""
     return (angle + period / 2) % period - period / 2
 

@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
 
 GoalStyle = Literal["outline", "solid", "card"]
-"""How a goal shows in the picture: as a drawn outline or patch, or as a card that really lies there: nobody draws it."""
+"""How a goal shows in the picture: as a drawn outline or patch, or as a card that really lies there, undrawn."""
 Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled"]
 
 

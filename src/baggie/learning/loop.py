@@ -32,7 +32,7 @@ from baggie.types import Attempt
 
 _LOGGED = 200
 """Points in a loss curve."""
-_MEASURED = 4
+_MEASURED = 10
 """Looks at the validation attempts on the way: to be seen, never to choose by."""
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from baggie.policies.features import Backbone
 from baggie.types import GoalStyle
 
 
@@ -40,8 +41,15 @@ class TrainOptions:
     """regression: how goals are painted into its pictures. keypoint sees the region only."""
     goal_color: tuple[int, int, int] = (0, 200, 0)
     """regression: the colour of painted goals, RGB."""
+    goal_input: Literal["region", "painted"] = "region"
+    """keypoint: whether a goal is a channel of its own, or is painted into the picture as it is for regression."""
+    backbone: Backbone = "small"
+    """keypoint: what sees; `resnet18` is slower and can start from published weights."""
     weights: str | None = None
-    """regression: ImageNet weights to start from, a .pth or .safetensors file or a Hub id; none by default.
+    """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
+    new_looks: float = 0.5
+    """keypoint: the share of pictures in which cloth, table and clutter are drawn anew, so that it knows a bag of any
+    colour.
     """
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from collections.abc import Sequence
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from baggie.policies.learned import LearnedPolicy
+from baggie.types import Attempt
 
 Batch = dict[str, Tensor]
 
@@ -42,4 +44,8 @@ class Recipe(Protocol):
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """What is minimised, and its parts by name with their units, detached, for the log."""
+        ...
+
+    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
+        """What is left to do with the trained policy, given attempts it did not learn from; what its metrics say."""
         ...

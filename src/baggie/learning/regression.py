@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch.optim import Adam, Optimizer
 
 from baggie.data.annotation import goal_of
 from baggie.learning.recipe import Batch
+from baggie.policies.learned import LearnedPolicy
 from baggie.policies.regression import RegressionNet, RegressionPolicy
 from baggie.policies.resnet import load_imagenet
 from baggie.types import Attempt, GoalStyle
@@ -68,6 +69,10 @@ class RegressionRecipe:
             "images": torch.from_numpy(image.transpose(2, 0, 1).copy()).unsqueeze(0),
             "xy": torch.from_numpy(xy).float().unsqueeze(0),
         }
+
+    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
+        """Nothing: it says where, and not how surely."""
+        return {}
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """The sum of both networks' mean absolute errors, metres: each gets the gradient of its own."""

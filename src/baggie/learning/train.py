@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -16,7 +16,7 @@ from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.results import provenance
-from baggie.learning.keypoint import KeypointRecipe
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.loop import Training
 from baggie.learning.measure import measure
 from baggie.learning.options import TrainOptions
@@ -24,6 +24,7 @@ from baggie.learning.recipe import Recipe
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.split import RULE, Split
 from baggie.policies import checkpoint
+from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.types import Attempt
 from baggie.workcell.watch import REFERENCE_FILE
@@ -31,10 +32,15 @@ from baggie.workcell.watch import REFERENCE_FILE
 METRICS = "metrics.json"
 
 
-def train(options: TrainOptions, attempts: Sequence[Attempt] | None = None) -> dict[str, Any]:
+def train(
+    options: TrainOptions,
+    attempts: Sequence[Attempt] | None = None,
+    make_recipe: Callable[[Sequence[Attempt]], Recipe] | None = None,
+) -> dict[str, Any]:
     """Train a policy, or go on with it, or find it finished; returns what stands in its `metrics.json`.
 
-    `attempts` replaces the recording that `options.data` names. The last weights (the last average of them,
+    `attempts` replaces the recording that `options.data` names; `make_recipe` makes a recipe of your own from those to
+    learn from, in place of the policy that the options name. The last weights (the last average of them,
     where the recipe keeps one) are the result, by rule: nothing is chosen by looking. The truth of simulated
     attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
     KeyboardInterrupt, whose message says how to go on, when stopped.
@@ -42,7 +48,7 @@ def train(options: TrainOptions, attempts: Sequence[Attempt] | None = None) -> d
     accelerator = _accelerator(options.device)
     split = Split.of(open_dataset(options.data) if attempts is None else attempts, options.train, options.val)
     torch.manual_seed(options.seed)
-    recipe = _recipe(options, split.train)
+    recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = options.steps or recipe.steps
     recipe.policy.training = _record(options, split, steps)
     _claim(options, recipe.policy, accelerator)
@@ -65,6 +71,7 @@ def train(options: TrainOptions, attempts: Sequence[Attempt] | None = None) -> d
         "policy": policy.name,
         "steps": steps,
         "train_s": seconds,
+        **recipe.finish(policy, split.val),
         **measure(policy, split.val),
         "provenance": provenance([options.seed]),
     }
@@ -88,9 +95,15 @@ def _accelerator(device: str) -> Accelerator:
 def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
     if options.policy == "regression":
         return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
-    if options.weights is not None:
-        raise BaggieError("--weights are for the regression policy: keypoint learns from the attempts alone")
-    return KeypointRecipe(attempts)
+    if options.weights is not None and options.backbone != "resnet18":
+        raise BaggieError(
+            f"--weights are those of a ResNet-18, but keypoint's backbone is {options.backbone}: "
+            "add --backbone resnet18"
+        )
+    goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
+    return KeypointRecipe(
+        attempts, KeypointOptions(options.backbone, options.weights, goal_input, options.new_looks)
+    )
 
 
 def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
@@ -100,6 +113,7 @@ def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
         "seed": options.seed,
         "steps": steps,
         "weights": options.weights,
+        "new_looks": options.new_looks,
         "split": {
             "rule": RULE,
             "train": [attempt.attempt_id for attempt in split.train],

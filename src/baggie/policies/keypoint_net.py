@@ -1,6 +1,4 @@
-"""The network of the `keypoint` policy: a small U-Net, two spatial soft-argmax heads, and the map to the
-robot.
-"""
+"""The network of the `keypoint` policy: a U-Net, two spatial soft-argmax heads, and the map to the robot."""
 
 from __future__ import annotations
 
@@ -11,14 +9,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.policies import planar_map
+from baggie.policies.features import Backbone, Features, ResNetFeatures, SmallFeatures, block
+from baggie.policies.keypoint_plan import CELL
 from baggie.policies.planar_map import PlanarMap
-from baggie.policies.soft_argmax import heat_maps, soft_argmax
+from baggie.policies.soft_argmax import heat_maps, local_soft_argmax, squared_distances
 
-CELL = 2
-"""A cell of the heat maps is this many pixels of the network's input wide and high."""
-
-CHANNELS = 4
-"""Red, green, blue, and the goal."""
+PEAK_RADIUS = 8.0
+"""Cells around a heat map's greatest value that decide where its point is."""
+FAR = 12.0
+"""Cells: weight further than this from the point counts as this far, when it comes to how unsure the map is."""
 
 
 class Keypoints(NamedTuple):
@@ -27,74 +26,110 @@ class Keypoints(NamedTuple):
     xy: Tensor
     """`(B, K, 2)` metres in the robot's base frame."""
     phase: Tensor
-    """`(B, 2)`: the phase (cos, sin) of the object's yaw in the heat map, about as long as it is certain."""
+    """`(B, 2, 2)`: phases (cos, sin) of the object's yaw at the pick, as a square and as a long thing (see `phase`);
+    each about as long as it is certain.
+    """
     jacobian: Tensor
-    """`(B, 2, 2)`: d xy / d cells, where the pick is."""
-    heat: Tensor
-    """`(B, K, h, w)`: each map sums to 1."""
-    log_heat: Tensor
-    """`(B, K, h, w)`: its logarithm."""
+    """`(B, K, 2, 2)`: d xy / d cells at the points."""
+    logits: Tensor
+    """`(B, K, h, w)`: their softmax over the cells is the heat map."""
     cells: Tensor
     """`(B, K, 2)`: the points in the heat maps as (u, v), cell centres at integers."""
+
+    def heat(self) -> Tensor:
+        """`(B, K, h, w)`: each map sums to 1."""
+        return heat_maps(self.logits)
+
+    def log_heat(self) -> Tensor:
+        """`(B, K, h, w)`: the heat maps' logarithms."""
+        return self.logits.flatten(2).log_softmax(dim=2).view_as(self.logits)
+
+    def spread(self) -> Tensor:
+        """How far the heat maps' weight is from the points, `(B, K)` cells, root mean square."""
+        far = squared_distances(self.logits, self.cells).clamp(max=FAR**2)
+        return (self.heat() * far).sum(dim=(-2, -1)).sqrt()
 
 
 class KeypointNet(nn.Module):
     """Picture and goal in, pick and place in robot coordinates out.
 
-    Works at half the input's resolution from its first layer (the four pixels of a cell become channels):
-    that costs a quarter, and the soft-argmax reads positions to a small fraction of a cell anyway. The phase
-    of the yaw is read from coarser features, which see the whole object at once, where the heat map is.
+    Works at half the input's resolution from its first layer: that costs a quarter, and the soft-argmax reads
+    positions to a small fraction of a cell anyway. The phases of the yaw are read from coarser features, which see the
+    whole object at once, where the heat map is.
     """
 
-    def __init__(self, width: int = 24) -> None:
-        """`width`: channels at the finest level; twice as many below."""
+    features: SmallFeatures | ResNetFeatures
+
+    def __init__(self, width: int = 24, channels: int = 4, backbone: Backbone = "small") -> None:
+        """`width`: channels at the finest scale, twice as many below; `channels`: of the input."""
         super().__init__()
-        self.width = width
+        self.width, self.channels, self.backbone = width, channels, backbone
+        self.features = SmallFeatures(channels, width) if backbone == "small" else ResNetFeatures(channels)
         double = 2 * width
-        self.stem = _block(CHANNELS * CELL**2, width)
-        self.down1 = nn.Sequential(_block(width, double), _block(double, double))
-        self.down2 = nn.Sequential(_block(double, double), _block(double, double), _block(double, double))
-        self.up1 = _block(double, double)
+        self.bring = nn.ModuleList(
+            nn.Identity() if size == wanted else nn.Conv2d(size, wanted, 1, bias=False)
+            for size, wanted in zip(self.features.sizes, (width, double, double), strict=True)
+        )
+        self.up1 = block(double, double)
         self.narrow = nn.Conv2d(double, width, 1, bias=False)
-        self.up0 = _block(width, width)
+        self.up0 = block(width, width)
         self.heat = nn.Conv2d(width, 2, 1)
-        self.phase = nn.Sequential(_block(double, double), nn.Conv2d(double, 2, 1))
+        self.phase = nn.Sequential(block(double, double), nn.Conv2d(double, 4, 1))
         self.to_robot = PlanarMap()
+        self.radius = Radius()
         for parameter in self.parameters():
             if parameter.dim() == 4:  # a convolution's: this layout is the faster one on a CPU
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
     def forward(self, images: Tensor, to_picture: Tensor) -> Keypoints:
-        """Images `(B, 4, H, W)` uint8; `to_picture` `(B, 3, 3)` takes their cells to the normalised picture.
+        """Images `(B, C, H, W)` uint8; `to_picture` `(B, 3, 3)` takes their cells to the normalised picture.
 
         A warped image needs nothing but its own `to_picture`: that is all there is to augmentation without
         calibration.
         """
-        logits, field = self._fields(images)
-        heat = heat_maps(logits)
-        cells = soft_argmax(heat)
-        object_heat = F.avg_pool2d(heat[:, :1].detach(), 2, divisor_override=1)
-        phase = (field * object_heat).sum(dim=(-2, -1))
-        points = planar_map.apply(to_picture.unsqueeze(1), cells)
-        xy: Tensor = self.to_robot(points)
-        jacobian = self.to_robot.jacobian(points[:, 0]) @ planar_map.jacobian(to_picture, cells[:, 0])
-        log_heat = logits.flatten(2).log_softmax(dim=2).view_as(logits)
-        return Keypoints(xy, phase, jacobian, heat, log_heat, cells)
+        return self.read(*self.fields(images), to_picture)
 
-    def _fields(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """`(B, 4, H, W)` -> heat map logits `(B, 2, H / 2, W / 2)`, phase `(B, 2, H / 4, W / 4)`."""
-        x = F.pixel_unshuffle(images.float() / 255 - 0.5, CELL).contiguous(memory_format=torch.channels_last)
-        fine: Tensor = self.stem(x)  # (B, w, H / 2, W / 2)
-        middle: Tensor = self.down1(F.max_pool2d(fine, 2))  # (B, 2w, H / 4, W / 4)
-        coarse: Tensor = self.down2(F.max_pool2d(middle, 2))  # (B, 2w, H / 8, W / 8)
+    def fields(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """`(B, C, H, W)` uint8 -> heat map logits `(B, 2, H / 2, W / 2)`, phases `(B, 4, H / 4, W / 4)`."""
+        found: Features = self.features(images.float() / 255 - 0.5)
+        fine, middle, coarse = (bring(x) for bring, x in zip(self.bring, found, strict=True))
         middle = self.up1(middle + _twice(coarse))
         fine = self.up0(fine + _twice(self.narrow(middle)))
         return self.heat(fine), self.phase(middle)
 
+    def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
+        """Points, poses and phases from what `fields` gives."""
+        cells = self.locate(logits)
+        object_heat = F.avg_pool2d(heat_maps(logits[:, :1].detach()), CELL, divisor_override=1)
+        phase = (field * object_heat).sum(dim=(-2, -1)).view(-1, 2, 2)
+        matrix = to_picture.unsqueeze(1)
+        points = planar_map.apply(matrix, cells)
+        jacobian = self.to_robot.jacobian(points) @ planar_map.jacobian(matrix, cells)
+        return Keypoints(self.to_robot(points), phase, jacobian, logits, cells)
 
-def _block(inputs: int, outputs: int) -> nn.Sequential:
-    convolution = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
-    return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+    def locate(self, logits: Tensor) -> Tensor:
+        """`(B, K, h, w)` -> `(B, K, 2)`: the points as (u, v) in cells."""
+        return local_soft_argmax(logits, PEAK_RADIUS)
+
+
+class Radius(nn.Module):
+    """How far from its points the truth may be: as many times a heat map's spread as held-out attempts say."""
+
+    times_spread: Tensor
+    """`(2,)`: of pick and place; 0 until it is known."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("times_spread", torch.zeros(2))
+
+    def forward(self, found: Keypoints) -> Tensor:
+        """Radii that hold the truth nine times of ten: `(B, 2)` metres."""
+        return self.times_spread * spread_m(found)
+
+
+def spread_m(found: Keypoints) -> Tensor:
+    """`Keypoints.spread` on the table: `(B, 2)` metres."""
+    return found.spread() * torch.det(found.jacobian).abs().sqrt()
 
 
 def _twice(x: Tensor) -> Tensor:

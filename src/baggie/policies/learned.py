@@ -12,11 +12,10 @@ import huggingface_hub
 import torch
 from torch import nn
 
-from baggie.errors import BaggieError, DataError
+from baggie.errors import DataError
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.types import Goal, Image, Observation, Plan
-from baggie.vision.draw import check_goal
+from baggie.types import Goal, Observation, Plan
 
 _CARD = """\
 ---
@@ -67,22 +66,6 @@ class LearnedPolicy(Policy):
     def device(self) -> torch.device:
         """Where the network is."""
         return next(self.network.parameters()).device
-
-    def as_trained(self, observation: Observation, goal: Goal) -> tuple[Image, Goal]:
-        """Picture and goal at the size of the training pictures.
-
-        Raises `BaggieError` when the goal leaves the picture, or the picture has another shape than those.
-        """
-        check_goal(goal, observation.size)
-        (width, height), (to_width, to_height) = observation.size, self.picture_size
-        if abs(width * to_height - height * to_width) > max(to_width, to_height):
-            raise BaggieError(
-                f"this policy was trained on pictures of {to_width} x {to_height} pixels, but got one of "
-                f"{width} x "
-                f"{height}: it belongs to another camera; train one for this one"
-            )
-        color = Observation(observation.color).resized(to_width, to_height).color
-        return color, goal.scaled(to_width / width, to_height / height)
 
     def config(self) -> dict[str, Any]:
         """All that is needed to build it again, and how it was trained."""

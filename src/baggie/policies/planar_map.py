@@ -84,33 +84,34 @@ class PlanarMap(nn.Module):
         r2 = (offset**2).sum(dim=-1, keepdim=True)
         return self.center + offset * (1 + self.distortion[0] * r2 + self.distortion[1] * r2**2)
 
-    def fit(self, points: FloatArray, xy: FloatArray, noise_m: float = 0.005) -> FloatArray:
+    def fit(self, points: FloatArray, xy: FloatArray, noise_m: float | FloatArray = 0.005) -> FloatArray:
         """Fit to pairs `(N, 2)` normalised and `(N, 2)` metres; returns the residuals `(N, 2)` metres.
 
         Gauss-Newton on Huber's loss. Weak priors on the lens (coefficients within about 0.2, its centre
         within 0.1 of the picture's) make few or clustered pairs give a plain homography rather than nonsense.
-        `noise_m`: what is expected of a label; residuals over twice that count linearly. Raises `DataError`
-        when there are too few pairs, or they lie in one line.
+        `noise_m`: what is expected of a label, of all or `(N,)` of each; residuals over twice that count linearly.
+        Raises `DataError` when there are too few pairs, or they lie in one line.
         """
         source, target = np.asarray(points, float), np.asarray(xy, float)
         start = cv2.findHomography(source, target, cv2.LMEDS)[0] if len(source) >= 4 else None
         if start is None:
             raise DataError(f"a map from picture to robot needs at least 4 spread points, got {len(source)}")
         pixels = torch.from_numpy(source)
+        noise = np.repeat(np.broadcast_to(np.asarray(noise_m, float), len(source)), 2)
 
         def residuals(theta: FloatArray) -> FloatArray:
             with torch.no_grad():
                 mapped = torch.func.functional_call(self, _named(theta), (pixels,))
             return np.asarray(mapped.numpy() - target).ravel()
 
-        prior = np.r_[np.zeros(8), np.full(2, noise_m / 0.2), np.full(2, noise_m / 0.1)]
+        prior = np.r_[np.zeros(8), np.full(2, 1 / 0.2), np.full(2, 1 / 0.1)]
         theta = np.r_[(start / start[2, 2]).ravel()[:8], np.zeros(4)]
         steps = 1e-6 * np.eye(len(theta))
         for _ in range(_ITERATIONS):
             r = residuals(theta)
             slopes = [(residuals(theta + step) - residuals(theta - step)) / 2e-6 for step in steps]
             size = np.repeat(np.linalg.norm(r.reshape(-1, 2), axis=1), 2)
-            weight = np.sqrt(np.minimum(1.0, 2 * noise_m / np.maximum(size, 1e-12)))
+            weight = np.sqrt(np.minimum(1.0, 2 * noise / np.maximum(size, 1e-12))) / noise
             a = np.vstack([np.stack(slopes, axis=1) * weight[:, None], np.diag(prior)])
             theta = theta - np.linalg.lstsq(a, np.r_[r * weight, prior * theta], rcond=None)[0]
         self.load_state_dict(_named(theta))

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from baggie.geometry import PlanarPose
+from baggie.policies.as_trained import as_trained
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18
 from baggie.types import Goal, GoalStyle, Image, Observation, PickPlace, Plan
@@ -92,12 +93,13 @@ class RegressionPolicy(LearnedPolicy):
         """A picture at its trained size and its goal -> the network's input `(224, 224, 3)` uint8."""
         small = np.asarray(cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA), np.uint8)
         height, width = picture.shape[:2]
-        goal = replace(goal, style=self.goal_style, color=self.goal_color)
+        if goal.style != "card":  # which lies there already
+            goal = replace(goal, style=self.goal_style, color=self.goal_color)
         return paint_goal(small, goal.scaled(SIDE / width, SIDE / height))
 
     def plan(self, observation: Observation, goal: Goal) -> Plan:
         """Pick and place positions; yaw 0 and confidence 1, as it has no word on either."""
-        image = self.painted(*self.as_trained(observation, goal))
+        image = self.painted(*as_trained(observation, goal, self.picture_size))
         batch = torch.from_numpy(image.transpose(2, 0, 1).copy()).unsqueeze(0).to(self.device)
         self.network.eval()
         with torch.inference_mode():

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import cv2
 import numpy as np
 
 from baggie.geometry import FloatArray, apply_homography
-from baggie.types import Image
+from baggie.types import Goal, Image
 
 _STRIDE = 8
 """The input's sides are multiples of this, so that a U-Net can halve them three times."""
@@ -75,6 +77,22 @@ class View:
     def to_input(self, points: FloatArray) -> FloatArray:
         """`(N, 2)` pixels -> `(N, 2)` input pixels."""
         return apply_homography(np.linalg.inv(self.from_input()), points)
+
+    def goal_to_input(self, goal: Goal) -> Goal:
+        """A goal in pixels -> in input pixels."""
+        return replace(goal, corners=self.to_input(goal.corners))
+
+    def config(self) -> dict[str, Any]:
+        """In plain YAML types; the picture's size is kept elsewhere."""
+        edges = {"left": self.left, "top": self.top, "right": self.right, "bottom": self.bottom}
+        return {**edges, "size": list(self.size)}
+
+    @classmethod
+    def of(cls, config: Mapping[str, Any], picture: tuple[int, int]) -> Self:
+        """The inverse of `config`, for a picture of `(width, height)` pixels."""
+        width, height = (int(value) for value in config["size"])
+        edges = {key: int(config[key]) for key in ("left", "top", "right", "bottom")}
+        return cls(picture, **edges, size=(width, height))
 
     def contains(self, points: FloatArray) -> bool:
         """Whether all points `(N, 2)` pixels lie in the rectangle."""

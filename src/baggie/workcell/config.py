@@ -58,6 +58,8 @@ class WorkcellFile(_Section):
     workspace: Bounds = Bounds()
     bag: Bag = Bag()
     calibrations: CalibrationFiles = CalibrationFiles()
+    sure_within_m: float = Field(WorkcellSettings().sure_within_m, gt=0)
+    """A person is asked when a plan's pick or place is not known within this, nine times of ten."""
 
 
 def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
@@ -83,6 +85,7 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
         object_color=bag.color,
         object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
         object_symmetry=4 if bag.length_m == bag.width_m else 2,
+        sure_within_m=written.sure_within_m,
     )
     opened = SimulatedWorkcell(written.cell, settings, bag)
     identity = CameraIdentity(opened.camera.name, *opened.camera.size)

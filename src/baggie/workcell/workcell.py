@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from baggie.errors import ReachError
+from baggie.errors import ReachError, UnsureError
 from baggie.geometry import Rectangle
-from baggie.types import Failure, Observation, Outcome, PickPlace
+from baggie.types import Failure, Observation, Outcome, PickPlace, Plan
 from baggie.workcell.arm import Arm
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.camera import Camera
@@ -50,6 +50,8 @@ class WorkcellSettings:
     object_symmetry: int = 4
     """How many times a turn it looks the same."""
     marker: Marker = field(default_factory=Marker)
+    sure_within_m: float = 0.03
+    """`carry_out` asks for help when a plan's pick or place is not known within this, nine times of ten."""
 
 
 class Workcell:
@@ -80,6 +82,25 @@ class Workcell:
             observation = self.camera.look()  # somebody may have passed by
             self.watch.check(observation.color)
         return observation
+
+    def carry_out(self, plan: Plan) -> Outcome:
+        """Execute a plan that is sure enough: neither of its radii wider than `sure_within_m`; None passes.
+
+        Raises `UnsureError` before anything moves when one is, and whatever `execute` raises.
+        """
+        limit = self.settings.sure_within_m
+        radii = {"pick": plan.pick_within_m, "place": plan.place_within_m}
+        unsure = [
+            f"the {name} within {1000 * radius:.0f} mm"
+            for name, radius in radii.items()
+            if radius is not None and not radius <= limit  # NaN is not sure either
+        ]
+        if unsure:
+            raise UnsureError(
+                f"expected a plan that is sure within {1000 * limit:.0f} mm, got {' and '.join(unsure)}; nothing was "
+                "moved: clear the view of the object and the goal, or raise sure_within_m in the workcell file"
+            )
+        return self.execute(plan.action)
 
     def execute(self, action: PickPlace) -> Outcome:
         """Pick, verify, place.

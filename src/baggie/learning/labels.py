@@ -1,0 +1,164 @@
+"""What recorded attempts say about where things are, after all of it was heard: better labels for free.
+
+Three things are free. *Executed* poses are where the arm really was. The *release* pose of an attempt says where the
+object lies in the picture after it, which is the next attempt's picture before: a second opinion about what the eye of
+the collector said, wrong in other ways. And the *consensus*, the map from the picture to the robot that explains most
+labels, shows which ones do not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baggie.data.annotation import goal_of
+from baggie.geometry import FloatArray, apply_homography, wrap_angle
+from baggie.policies.planar_map import PlanarMap
+from baggie.policies.view import View
+from baggie.types import Attempt
+
+EYE_M, LANDING_M = 0.002, 0.005
+"""What is expected of labels by the collector's eye and by releases, until the residuals tell."""
+_SAME_PLACE = 0.004
+"""Of the picture's width: an object seen this near to where it was seen last has not been moved in between."""
+_SYSTEMATIC_M = 0.002
+"""How far a kind of label may be off the same way everywhere, or from the middle of the workspace to its edge."""
+_KEPT, _DOUBTED = 2.5, 4.0
+"""Times the usual residual: beyond the first a label loses weight, beyond the second a person should look at it."""
+_YAW_AGREES = np.deg2rad(10)
+_LONG = 1.25
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A label that does not fit what the others agree on."""
+
+    attempt_id: int
+    what: str
+    """`pick` or `place`."""
+    off_mm: float
+    """From where the consensus puts it."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Labels of N attempts; K = 2 are (pick, place)."""
+
+    xy: FloatArray
+    """`(N, K, 2)` metres, robot base frame: where the object is, and where to let go of it."""
+    weight: FloatArray
+    """`(N, K)`, 1 for labels that agree with the consensus, less for others."""
+    yaw: FloatArray
+    """`(N,)` radians: of the object at the pick."""
+    yaw_weight: FloatArray
+    """`(N,)`: 1 where the hand was turned as the object lies in the picture, else 0."""
+    long: NDArray[np.bool_]
+    """`(N,)`: whether the object is clearly longer than wide."""
+    doubts: list[Doubt]
+    """Worst first."""
+    pairs: int
+    """Pictures with a second opinion, from the release before."""
+    systematic_m: float
+    """How far apart both kinds of label are the same way everywhere, root mean square; half of it was corrected."""
+
+    @classmethod
+    def of(cls, attempts: Sequence[Attempt], view: View, to_robot: PlanarMap, fuse: bool = True) -> Labels:
+        """Labels of successful attempts, and `to_robot` fitted to them.
+
+        Without `fuse`, the executed poses as they are. Raises `DataError` when the goals are too few or in one line.
+        """
+        executed = [attempt.outcome.executed for attempt in attempts]
+        xy = np.array([(action.pick.xy, action.place.xy) for action in executed])
+        boxes = np.stack([[a.box_before for a in attempts], [goal_of(a).corners for a in attempts]], axis=1)
+        seen = apply_homography(view.normalize(), boxes.reshape(-1, 2)).reshape(*boxes.shape)  # (N, K, 4, 2)
+        centers = seen.mean(axis=2)
+        known = np.isfinite(centers).all(axis=-1)
+        pairs, systematic = 0, 0.0
+        if fuse:
+            shift, pairs = _systematic(attempts, centers, xy)
+            systematic = float(np.sqrt((shift**2).sum(axis=1).mean()))
+            xy[:, 0] += shift / 2  # neither kind is known to be right
+        noise = np.broadcast_to([EYE_M, LANDING_M], known.shape)
+        if fuse:
+            to_robot.fit(centers[known], xy[known], noise[known])
+        else:
+            to_robot.fit(centers[:, 1], xy[:, 1])
+        off = np.full(known.shape, 0.0)
+        off[known] = np.linalg.norm(xy[known] - _mapped(to_robot, centers[known]), axis=1)
+        usual = np.array([_usual(off[known[:, k], k]) for k in (0, 1)])
+        weight = np.minimum(1.0, (_KEPT * usual / np.maximum(off, 1e-9)) ** 2) if fuse else np.ones_like(off)
+        yaw = np.array([action.pick.yaw for action in executed])
+        in_picture, long = _directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
+        turned = np.abs(wrap_angle(in_picture - yaw, np.pi / 2))
+        doubts = [
+            Doubt(attempts[i].attempt_id, ("pick", "place")[k], 1000 * float(off[i, k]))
+            for i, k in zip(*np.nonzero(off > _DOUBTED * usual), strict=True)
+        ]
+        return cls(
+            xy,
+            weight,
+            yaw,
+            (~(turned > _YAW_AGREES)).astype(
+                float
+            ),  # NaN where the object was not seen: nothing speaks against it
+            long,
+            sorted(doubts, key=lambda doubt: -doubt.off_mm),
+            pairs,
+            systematic,
+        )
+
+
+def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray) -> tuple[FloatArray, int]:
+    """How far release poses are from picks of the same object, as a smooth field at every pick `(N, 2)` metres.
+
+    A constant and a slope, the most probable ones: some pairs that scatter by `LANDING_M` against a prior of
+    `_SYSTEMATIC_M`. Also how many pairs there were.
+    """
+    following = [
+        later
+        for later, (a, b) in enumerate(pairwise(attempts), start=1)
+        if b.attempt_id == a.attempt_id + 1
+        and np.linalg.norm(centers[later, 0] - centers[later - 1, 1]) < 2 * _SAME_PLACE
+    ]
+    middle, extent = (
+        xy[:, 0].mean(axis=0),
+        np.maximum(np.abs(xy[:, 0] - xy[:, 0].mean(axis=0)).max(axis=0), 0.05),
+    )
+    terms = np.column_stack([np.ones(len(xy)), (xy[:, 0] - middle) / extent])
+    if not following:
+        return np.zeros((len(xy), 2)), 0
+    apart = xy[np.array(following) - 1, 1] - xy[following, 0]
+    weight = np.ones(len(apart))
+    prior = np.eye(3) * (LANDING_M / _SYSTEMATIC_M) ** 2
+    for _ in range(10):  # Huber's weights, so that one bad landing does not count
+        a = terms[following]
+        field = np.linalg.solve(a.T @ (a * weight[:, None]) + prior, a.T @ (apart * weight[:, None]))
+        size = np.linalg.norm(apart - a @ field, axis=1)
+        weight = np.minimum(1.0, 2 * LANDING_M / np.maximum(size, 1e-9))
+    return terms @ field, len(following)
+
+
+def _usual(residuals: FloatArray) -> float:
+    """Half of the residuals, metres, are smaller; but for half a millimetre nothing is doubted."""
+    return max(float(np.median(residuals)), 5e-4) if len(residuals) else 1.0
+
+
+def _mapped(to_robot: PlanarMap, points: FloatArray) -> FloatArray:
+    """`(N, 2)` normalised -> `(N, 2)` metres."""
+    with torch.no_grad():
+        return np.asarray(to_robot(torch.from_numpy(points).float()).double().numpy())
+
+
+def _directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Rectangles `(N, 4, 2)` on the table -> the direction of their longer sides `(N,)`, and which are long."""
+    sides = np.roll(corners, -1, axis=1) - corners
+    length = np.linalg.norm(sides, axis=2)
+    first, second = length[:, 0::2].sum(axis=1), length[:, 1::2].sum(axis=1)
+    longer = np.where((first >= second)[:, None], sides[:, 0], sides[:, 1])
+    ratio = np.maximum(first, second) / np.maximum(np.minimum(first, second), 1e-9)
+    return np.arctan2(longer[:, 1], longer[:, 0]), ratio > _LONG

@@ -1,0 +1,170 @@
+"""How `keypoint` plans, whatever runs its network. Nothing here needs PyTorch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, PlanarPose, apply_homography
+from baggie.policies.as_trained import as_trained
+from baggie.policies.view import View
+from baggie.types import Goal, GoalStyle, Image, Observation, PickPlace, Plan
+from baggie.vision.draw import paint_goal, region_mask
+
+Float32 = NDArray[np.float32]
+
+CELL = 2
+"""A cell of the heat maps is this many pixels of the network's input wide and high."""
+CELLS_TO_INPUT: FloatArray = np.array(
+    [[CELL, 0.0, (CELL - 1) / 2], [0.0, CELL, (CELL - 1) / 2], [0.0, 0.0, 1.0]]
+)
+"""`(3, 3)`: cells of the heat maps -> pixels of the network's input, centres at integers in both."""
+
+_IN_SIGHT = 0.15
+"""With a bag in sight this share of the pick's heat map, and far more, is at its peak; on an empty table, 0.05."""
+_VIEW_SCALE = 4
+"""Heat maps are shown at a quarter of the picture's size."""
+_POINTED_CELLS = 16.0
+"""An object that is pointed at is looked for within so many cells: some 12 cm on a table."""
+_ANYWHERE = np.array([0.0, 0.0, 1e4], np.float32)
+_LONG = 1.25
+"""A goal is long when it is so many times longer than wide."""
+
+
+class Reading(NamedTuple):
+    """What the network says of one picture; K = 2 are (pick, place)."""
+
+    xy: Float32
+    """`(K, 2)` metres, robot base frame."""
+    yaw: Float32
+    """`()`: of the object, radians; 0 where it looks the same at any angle."""
+    symmetry: Float32
+    """`()`: how often a turn it looks the same: 4, 2, or 0 for at any angle."""
+    share: Float32
+    """`(K,)`: of the heat maps' weight near their points."""
+    within_m: Float32
+    """`(K,)`: radii that hold the truth nine times of ten; 0 where nobody measured."""
+    heat: Float32
+    """`(K, h, w)`: each map sums to 1."""
+    goal_xy: Float32
+    """`(N, 2)`: the goal's corners on the table, metres."""
+
+
+Read = Callable[[NDArray[np.uint8], Float32, Float32], Reading]
+"""Runs the network: `(1, C, H, W)` images, `(3,)` near, `(N, 2)` corners; see `KeypointReader`."""
+
+
+@dataclass(frozen=True)
+class GoalInput:
+    """How a goal gets into the network's input."""
+
+    kind: Literal["region", "painted"] = "region"
+    """`region`: as a fourth channel, however it is drawn; `painted`: in the picture's own colours, as published."""
+    style: GoalStyle = "solid"
+    color: tuple[int, int, int] = (0, 200, 0)
+    """Style and RGB colour of painted goals."""
+
+    @property
+    def channels(self) -> int:
+        """Of the network's input."""
+        return 4 if self.kind == "region" else 3
+
+    def network_input(self, cut: Image, goal: Goal) -> Image:
+        """A view `(H, W, 3)` and the goal in its pixels -> `(C, H, W)` uint8."""
+        if self.kind == "painted":
+            drawn = goal if goal.style == "card" else Goal(goal.corners, self.style, self.color)
+            return np.ascontiguousarray(paint_goal(cut, drawn).transpose(2, 0, 1))
+        height, width = cut.shape[:2]
+        return np.concatenate([cut.transpose(2, 0, 1), region_mask(goal.corners, (width, height))[None]])
+
+    def config(self) -> dict[str, Any]:
+        """In plain YAML types."""
+        return {"kind": self.kind, "style": self.style, "color": list(self.color)}
+
+    @classmethod
+    def of(cls, config: dict[str, Any]) -> GoalInput:
+        """The inverse of `config`."""
+        red, green, blue = (int(value) for value in config["color"])
+        return cls(config["kind"], config["style"], (red, green, blue))
+
+
+def to_picture(view: View) -> FloatArray:
+    """`(3, 3)`: cells of an unwarped image's heat maps -> the normalised picture."""
+    return view.normalize() @ view.from_input() @ CELLS_TO_INPUT
+
+
+def plan(read: Read, view: View, goal_input: GoalInput, observation: Observation, goal: Goal) -> Plan:
+    """Where to pick and where to place.
+
+    The pick's yaw is that of the object's sides, the long ones where it has any; the place's that of the goal's, turned
+    by whole symmetries so that the hand turns least. Confidence is the share of the heat maps' weight near the points,
+    the smaller of the two. Raises `BaggieError` when no bag is in sight, or when the goal, or what is pointed at, lies
+    outside the part of the picture in which the training attempts took place.
+    """
+    picture, goal = as_trained(observation, goal, view.picture)
+    _check_view(view, goal.corners, "the goal")
+    near = _ANYWHERE
+    if goal.object_at is not None:
+        _check_view(view, np.array([goal.object_at]), "the object pointed at")
+        cell = apply_homography(np.linalg.inv(view.from_input() @ CELLS_TO_INPUT), [goal.object_at])[0]
+        near = np.array([*cell, _POINTED_CELLS], np.float32)
+    image = goal_input.network_input(view.cut(picture), view.goal_to_input(goal))
+    corners = apply_homography(view.normalize(), goal.corners).astype(np.float32)
+    found = read(image[None], near, corners)
+    sure = float(found.share.min())
+    if found.share[0] < _IN_SIGHT:
+        raise BaggieError(
+            f"no bag in sight: only {found.share[0]:.0%} of the heat map is at its peak; put one into the workspace"
+        )
+    pick = PlanarPose(float(found.xy[0, 0]), float(found.xy[0, 1]), float(found.yaw))
+    yaw = place_yaw(found.goal_xy.astype(float), int(found.symmetry), pick.yaw)
+    place = PlanarPose(float(found.xy[1, 0]), float(found.xy[1, 1]), yaw)
+    views = {
+        name: _over_picture(view, heat) for name, heat in zip(("pick", "place"), found.heat, strict=True)
+    }
+    pick_within, place_within = (float(r) if r > 0 else None for r in found.within_m)
+    return Plan(PickPlace(pick, place), min(sure, 1.0), pick_within, place_within, views)
+
+
+def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
+    """The yaw at which an object lies along the sides of a goal with these corners `(N, 2)` on the table, radians.
+
+    Long on long, where both are; else to the nearest quarter turn. Of those that look the same, the one nearest to the
+    yaw it is picked at.
+    """
+    x, y = (np.roll(corners, -1, axis=0) - corners).T
+    length, direction = np.hypot(x, y), np.arctan2(y, x)
+    # Opposite sides point the same way modulo half a turn; of a long goal, the long ones outweigh the short ones.
+    doubled = (length * np.exp(2j * direction)).sum() / length.sum()
+    times_longer = (1 + abs(doubled)) / max(1 - abs(doubled), 1e-9)
+    long = symmetry == 2 and times_longer > _LONG
+    folds = 2 if long else 4
+    yaw = float(np.angle(doubled if long else (length * np.exp(4j * direction)).sum())) / folds
+    turn = 2 * math.pi / folds
+    return yaw + turn * round((pick_yaw - yaw) / turn)
+
+
+def _check_view(view: View, points: FloatArray, what: str) -> None:
+    if not view.contains(points):
+        u, v = points.mean(axis=0)
+        raise BaggieError(
+            f"{what} at ({u:.0f}, {v:.0f}) is outside of what the training attempts covered, u {view.left}.."
+            f"{view.right} and v {view.top}..{view.bottom} of {view.picture[0]} x {view.picture[1]} pixels: "
+            "choose one nearer to the workspace's middle, or collect there"
+        )
+
+
+def _over_picture(view: View, heat: Float32) -> Float32:
+    """A heat map `(h, w)` of the view -> of the whole picture, a quarter its size, greatest value 1."""
+    width, height = (side // _VIEW_SCALE for side in view.picture)
+    offset = (1 / _VIEW_SCALE - 1) / 2
+    shrink = np.array([[1 / _VIEW_SCALE, 0, offset], [0, 1 / _VIEW_SCALE, offset], [0, 0, 1]])
+    place = shrink @ view.from_input() @ CELLS_TO_INPUT
+    return np.asarray(cv2.warpAffine(heat / heat.max(), place[:2], (width, height)), np.float32)

@@ -1,0 +1,110 @@
+"""Labels that were fused from several attempts: what they recover, and what they refuse to believe."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from baggie.data.annotation import goal_of
+from baggie.geometry import PlanarPose
+from baggie.learning.labels import Labels
+from baggie.policies.planar_map import PlanarMap
+from baggie.policies.view import View
+from baggie.types import PickPlace
+from synthetic import WORKSPACE, box_corners, make_attempt
+
+SIZE = (640, 360)
+VIEW = View(SIZE, 0, 0, *SIZE, (160, 88))
+PLAIN = make_attempt(0, np.random.default_rng(0), (64, 36), depth=False)
+
+
+def sitting(count: int, seed: int = 0, eye_bias=(0.0, 0.0), landing_m: float = 0.004):
+    """Attempts one after another with one bag: picks off by a bias of the eye, landings scattered; without pictures."""
+    rng = np.random.default_rng(seed)
+
+    def anywhere() -> PlanarPose:
+        x, y = WORKSPACE.sample(rng, 0.02)
+        return PlanarPose(float(x), float(y), float(rng.uniform(-0.2, 0.2)))
+
+    bag, attempts = anywhere(), []
+    for number in range(count):
+        lands = anywhere()
+        pick = PlanarPose(*(bag.xy + eye_bias + rng.normal(0, 0.0007, 2)), bag.yaw)
+        release = PlanarPose(*(lands.xy + rng.normal(0, landing_m / math.sqrt(2), 2)), lands.yaw)
+        attempts.append(
+            replace(
+                PLAIN,
+                attempt_id=number,
+                outcome=replace(PLAIN.outcome, executed=PickPlace(pick, release)),
+                box_before=box_corners(bag, SIZE),
+                box_after=box_corners(lands, SIZE),
+                truth=replace(PLAIN.truth, before=bag, after=lands),
+            )
+        )
+        bag = lands
+    return attempts
+
+
+def pick_errors(attempts, labels: Labels) -> np.ndarray:
+    return labels.xy[:, 0] - [attempt.truth.before.xy for attempt in attempts]
+
+
+def test_the_release_before_takes_half_of_what_the_eye_gets_wrong_everywhere():
+    attempts = sitting(200, eye_bias=(0.003, -0.002))
+    plain = Labels.of(attempts, VIEW, PlanarMap(), fuse=False)
+    fused = Labels.of(attempts, VIEW, PlanarMap())
+    assert np.linalg.norm(pick_errors(attempts, plain).mean(axis=0)) == pytest.approx(0.0036, abs=3e-4)
+    assert np.linalg.norm(pick_errors(attempts, fused).mean(axis=0)) == pytest.approx(0.0018, abs=5e-4)
+    assert fused.pairs == 199
+    assert fused.systematic_m == pytest.approx(0.0036, abs=8e-4)
+
+
+def test_without_a_bias_nothing_is_made_worse():
+    for seed in range(3):
+        attempts = sitting(200, seed)
+        fused = Labels.of(attempts, VIEW, PlanarMap())
+        assert np.linalg.norm(pick_errors(attempts, fused), axis=1).mean() < 0.0013
+
+
+def test_attempts_that_do_not_follow_each_other_have_no_second_opinion():
+    alone = [replace(attempt, attempt_id=2 * attempt.attempt_id) for attempt in sitting(30)]
+    moved = [
+        replace(attempt, box_before=attempt.box_before + 30.0) for attempt in sitting(30)
+    ]  # by a person, in between
+    assert Labels.of(alone, VIEW, PlanarMap()).pairs == 0
+    assert Labels.of(moved, VIEW, PlanarMap()).pairs == 0
+
+
+@pytest.mark.parametrize(("what", "column"), [("pick", 0), ("place", 1)])
+def test_a_label_that_does_not_fit_is_doubted_and_loses_its_weight(what, column):
+    attempts = sitting(60)
+    executed = attempts[20].outcome.executed
+    poses = [executed.pick, executed.place]
+    poses[column] = PlanarPose(poses[column].x + 0.05, poses[column].y, poses[column].yaw)
+    attempts[20] = replace(attempts[20], outcome=replace(attempts[20].outcome, executed=PickPlace(*poses)))
+    labels = Labels.of(attempts, VIEW, PlanarMap())
+    assert (labels.doubts[0].attempt_id, labels.doubts[0].what) == (20, what)
+    assert labels.doubts[0].off_mm == pytest.approx(50, abs=10)
+    assert labels.weight[20, column] < 0.1
+    assert np.median(labels.weight) == 1
+
+
+def test_a_hand_turned_otherwise_than_the_object_does_not_teach_yaw():
+    attempts = sitting(40)
+    pick = attempts[7].outcome.executed.pick
+    wrong = PickPlace(replace(pick, yaw=pick.yaw + 0.5), attempts[7].outcome.executed.place)
+    attempts[7] = replace(attempts[7], outcome=replace(attempts[7].outcome, executed=wrong))
+    weights = Labels.of(attempts, VIEW, PlanarMap()).yaw_weight
+    assert weights[7] == 0
+    assert weights.sum() == len(attempts) - 1
+
+
+def test_long_things_are_told_from_square_ones():
+    attempts = sitting(40)
+    corners = goal_of(attempts[3]).corners
+    longer = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * [1.6, 1.0]
+    attempts[3] = replace(attempts[3], box_before=longer)
+    long = Labels.of(attempts, VIEW, PlanarMap()).long
+    assert long[3]
+    assert long.sum() == 1
