@@ -11,12 +11,21 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import machine
 from baggie.collect.machine import MAX_ASKS, MAX_LOOKS, MAX_TRIES, State, Stopped, Turn, run_turn
-from baggie.collect.places import MARGIN_M, MIN_DISTANCE_M, false_45, grip_yaw, nearest_grip, random_place
+from baggie.collect.places import (
+    MARGIN_M,
+    MIN_DISTANCE_M,
+    false_45,
+    grip_yaw,
+    long_place_yaw,
+    nearest_grip,
+    random_place,
+)
 from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from baggie.commissioning.points import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import Outcome
+from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeCell
 
 SIZE = (640, 360)
@@ -33,6 +42,13 @@ def image_to_robot() -> ImageToRobot:
 @pytest.fixture
 def cell() -> FakeCell:
     return FakeCell(size=SIZE)
+
+
+@pytest.fixture
+def long_turn(image_to_robot: ImageToRobot) -> Turn:
+    settings = WorkcellSettings(object_size_m=(0.15, 0.10, 0.03), object_symmetry=2)
+    cell = FakeCell(settings, size=SIZE)
+    return Turn(cell, image_to_robot, seeds.generator(0), lambda _question: cell.rescue())
 
 
 @pytest.fixture
@@ -79,6 +95,18 @@ def test_the_gripper_follows_the_bag_except_for_a_first_reading_of_45_degrees(ya
     assert false_45(yaw) or not doubted
     assert grip_yaw(yaw, doubted_before=True) == yaw
     assert grip_yaw(yaw, doubted_before=False) == (0.0 if false_45(yaw) else yaw)
+
+
+@given(st.floats(-math.pi / 2, math.pi / 2), st.integers(0, 10**6))
+def test_a_long_object_is_put_down_along_an_axis_with_at_most_half_a_turn_of_the_wrist(yaw, seed):
+    place = long_place_yaw(yaw, np.random.default_rng(seed))
+    assert place in (0.0, math.pi / 2, -math.pi / 2)
+    assert abs(place - yaw) <= math.pi / 2
+
+
+def test_a_long_object_is_put_down_along_either_axis():
+    rng = np.random.default_rng(0)
+    assert 60 < sum(long_place_yaw(0.3, rng) == 0.0 for _ in range(200)) < 140
 
 
 def test_the_nearest_grip_is_on_the_edge_or_nowhere():
@@ -129,6 +157,17 @@ def test_plan_doubts_45_degrees_once(turn):
     machine.plan(turn)
     assert not turn.doubted
     assert abs(turn.action.pick.yaw) > math.radians(38)
+
+
+@pytest.mark.parametrize("degrees", range(-90, 90, 15))
+def test_plan_grips_a_long_bag_across_its_narrow_side_at_any_angle(long_turn, degrees):
+    long_turn.cell.bag = PlanarPose(0.52, -0.13, math.radians(degrees))
+    assert machine.plan(seen(long_turn)) is State.MOVE
+    # The fingers close along the tool's y, so its x is along the bag.
+    off = math.remainder(long_turn.action.pick.yaw - math.radians(degrees), math.pi)
+    assert abs(off) < math.radians(4)
+    assert not long_turn.doubted  # a long rectangle has no second reading at 45 degrees
+    assert math.remainder(long_turn.action.place.yaw, math.pi / 2) == 0.0
 
 
 def test_plan_grips_a_bag_just_outside_by_its_near_side(turn):
@@ -258,6 +297,14 @@ def test_a_sitting_is_ten_numbered_attempts(cell, image_to_robot):
     for before, after in itertools.pairwise(attempts):
         assert before.truth.after == after.truth.before
         assert abs(math.remainder(after.truth.before.yaw, math.pi / 2)) < 0.2  # squared up by the turn before
+
+
+def test_long_bags_are_squared_up_along_either_axis(long_turn):
+    attempts = list(run_sitting(long_turn.cell, long_turn.image_to_robot, RECORDING, 2))
+    assert all(attempt.outcome.success for attempt in attempts)
+    yaws = [math.remainder(attempt.truth.after.yaw, math.pi) for attempt in attempts]
+    assert all(abs(math.remainder(yaw, math.pi / 2)) < 0.2 for yaw in yaws)
+    assert len({abs(yaw) > math.pi / 4 for yaw in yaws}) == 2
 
 
 def test_boxes_are_in_the_pixels_of_the_recorded_picture(cell, image_to_robot):

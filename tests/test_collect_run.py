@@ -14,7 +14,8 @@ import pytest
 
 import baggie.data.writer
 from baggie import seeds
-from baggie.collect.collect import COVERAGE_FILE, CollectOptions, collect, missing_sittings
+from baggie.collect.collect import COVERAGE_FILE, CollectOptions, _open_worker, collect, missing_sittings
+from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, DataError
@@ -72,6 +73,31 @@ def test_the_calibration_is_saved_as_a_policy_and_kept(reference):
 def test_another_seed_gives_another_recording_and_is_not_mixed_in(reference):
     with pytest.raises(DataError, match="seed"):
         collect(CollectOptions(out=reference, attempts=14, seed=4), open_fake)
+
+
+def test_another_scenery_is_not_mixed_in(reference):
+    with pytest.raises(DataError, match="scenery = 'plain', not 'varied'"):
+        collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
+
+
+def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
+    with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
+        collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)
+    with pytest.raises(BaggieError, match="with --workcell"):
+        collect(CollectOptions(out=tmp_path / "a", scenery="varied", workcell=Path("cell.yaml")), open_fake)
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_command_goes_on_with_the_same_scenery():
+    assert "--scenery varied" in CollectOptions(out=Path("a"), scenery="varied").command()
+    assert "--scenery" not in CollectOptions(out=Path("a")).command()
+
+
+def test_without_a_reference_nothing_is_watched():
+    opened = []
+    recording = Recording("", 0, 0, (320, 180))
+    _open_worker(lambda number: opened.append(open_fake(number)) or opened[0], None, recording, None)
+    assert opened[0].watch is None
 
 
 CHILD = """

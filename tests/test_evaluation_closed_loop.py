@@ -15,8 +15,8 @@ import pytest
 from baggie import seeds
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
+from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
-from baggie.evaluation.episode import Bench
 from baggie.evaluation.log import append_line, read_lines
 from baggie.geometry import PlanarPose
 from baggie.policies.oracle import OraclePolicy
@@ -49,7 +49,17 @@ class FakeCell:
     def goal_corners(self, pose):
         return box_corners(pose, SIZE)
 
-    def execute(self, action):
+    def second_truth(self):
+        return None
+
+    def obstacles(self):
+        return []
+
+    def lay_card(self, pose):
+        self.card = pose
+
+    def carry_out(self, plan):
+        action = plan.action
         if self.misses:
             self.misses -= 1
             return Outcome(action, "missed-grasp")

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.evaluation.metrics import Z_95, position_error_cm, success_rate, summary, yaw_error_deg
+from baggie.evaluation.metrics import (
+    Z_95,
+    position_error_cm,
+    success_rate,
+    summary,
+    within_stated,
+    yaw_error_deg,
+)
 from baggie.geometry import PlanarPose
 
 counts = st.integers(1, 5000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -76,3 +83,22 @@ def test_yaw_error_forgets_quarter_turns(yaw, turn, quarters):
     a = PlanarPose(0, 0, yaw)
     b = PlanarPose(0, 0, yaw + turn + quarters * math.pi / 2)
     assert yaw_error_deg(a, b) == pytest.approx(abs(math.degrees(turn)), abs=1e-6)
+
+
+def test_a_round_object_has_no_wrong_angle():
+    assert yaw_error_deg(PlanarPose(0, 0, 1.0), PlanarPose(0, 0, -2.0), symmetry=0) == 0.0
+
+
+@given(st.lists(st.tuples(st.floats(0, 5), st.one_of(st.none(), st.floats(0, 0.05))), max_size=30))
+def test_only_stated_radii_count_and_wider_ones_hold_no_less(stated):
+    errors, radii = [error for error, _ in stated], [radius for _, radius in stated]
+    found = within_stated("pick", errors, radii)
+    told = [radius for radius in radii if radius is not None]
+    if not told:
+        assert found == {}
+        return
+    assert found["pick_within"]["n"] == found["pick_radius_cm"]["n"] == len(told)
+    wider = within_stated("pick", errors, [None if radius is None else radius + 0.01 for radius in radii])
+    assert wider["pick_within"]["rate"] >= found["pick_within"]["rate"]
+    all_of_them = within_stated("pick", errors, [None if radius is None else 0.06 for radius in radii])
+    assert all_of_them["pick_within"]["rate"] == 1.0

@@ -11,6 +11,7 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as module
 from baggie.evaluation.heldout import demonstrations, held_out
+from baggie.evaluation.metrics import success_rate
 from baggie.evaluation.validate import ValidateOptions, validate
 from baggie.geometry import PlanarPose
 from baggie.types import PickPlace, Plan
@@ -39,6 +40,7 @@ class FakePolicy:
     """Tells the truth, wrong by what the test says: 3, 4 mm at the pick, `place_off` at the place."""
 
     name = "fake"
+    radii_m = (0.006, 0.0105)
 
     def __init__(self, folder, blind=()):
         self.attempts = {a.before.color.tobytes(): a for a in open_dataset(folder)}
@@ -52,7 +54,8 @@ class FakePolicy:
         before, after = attempt.truth.before, attempt.truth.after
         pick = PlanarPose(before.x + 0.003, before.y - 0.004, before.yaw + np.pi / 2 + 0.1)
         place = PlanarPose(after.x + 0.001 * (attempt.attempt_id + 2), after.y, after.yaw)
-        return Plan(PickPlace(pick, place), 0.5, {"pick": np.eye(9, 16, dtype=np.float32)})
+        views = {"pick": np.eye(9, 16, dtype=np.float32)}
+        return Plan(PickPlace(pick, place), 0.5, *self.radii_m, views=views)
 
 
 def run_of(tmp_path, recording, train=(0, 1, 2), val=(4, 5, 6)):
@@ -99,6 +102,23 @@ def test_attempts_without_a_plan_are_counted_and_come_first(tmp_path, recording,
     monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(recording, blind=range(20)))
     with pytest.raises(BaggieError, match="none of 4 held-out attempts: no bag in sight"):
         validate(ValidateOptions("color-mask", recording, tmp_path / "blind", last=4))
+
+
+def test_confidence_is_the_share_inside_the_stated_radii(tmp_path, recording, monkeypatch):
+    monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(recording))
+    metrics = validate(ValidateOptions("color-mask", recording, tmp_path / "stated", last=9))
+    truth, labels = metrics["confidence"]["truth"], metrics["confidence"]["labels"]
+    # Picks are off by 5 mm of 6; the place of attempt k by k + 2 mm of 10.5: 4, 5, 6 and 8 are inside.
+    assert truth["pick_within"] == success_rate(9, 9)
+    assert labels["place_within"] == success_rate(4, 9)
+    assert "place_within" not in truth  # the truth is where the bag was put, and not where it was let go
+    assert truth["pick_radius_cm"]["mean"] == labels["pick_radius_cm"]["mean"] == pytest.approx(0.6)
+    assert labels["place_radius_cm"]["mean"] == pytest.approx(1.05)
+    assert labels["pick_within"]["n"] == 9
+    written = json.loads((tmp_path / "stated/predictions.json").read_text())["predictions"]
+    assert {(p["pick_within_m"], p["place_within_m"]) for p in written} == {(0.006, 0.0105)}
+    monkeypatch.setattr(FakePolicy, "radii_m", (None, None))
+    assert "confidence" not in validate(ValidateOptions("color-mask", recording, tmp_path / "silent", last=9))
 
 
 def ids(chosen, dataset):

@@ -95,6 +95,19 @@ def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
     assert not re.findall(r"#0[0-9a-f]{5}\b", text)  # every colour of a chart is the page's
 
 
+def test_a_policy_is_shown_under_each_test_it_was_put_to(tmp_path, runs):
+    run = runs / "keypoint"
+    unseen = closed_loop.options(run / "unseen", policy=str(run), film=0, scenery="unseen", goal="turned")
+    evaluate(unseen, closed_loop.open_off_by_25_mm)
+    words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
+    assert "keypoint, unseen, turned goals" in words
+    assert "Plans against the truth" in words
+    assert "2.50 cm" in words  # its place error
+    assert "5 of 5 bags to within 2 cm" in words  # the plain closed loop is still what the page is about
+    assert "pick and place inside their radius" in words
+    assert "100% and 100%" in words  # of the validated policy: 5 mm of 6, 6 to 8 mm of 10.5
+
+
 def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):
     page = Page(report(ReportOptions((runs / "baseline",), tmp_path / "report.html")).read_text())
     assert "closed-loop" in page.ids

@@ -2,7 +2,7 @@
 
 cell = baggie.open_workcell("sim")
 policy = baggie.Policy.from_pretrained("runs/keypoint")
-outcome = cell.execute(policy.plan(cell.look(), goal).action)
+outcome = cell.carry_out(policy.plan(cell.look(), goal))
 """
 
 from __future__ import annotations

@@ -23,6 +23,8 @@ from baggie.evaluation.validate import ValidateOptions
 from baggie.evaluation.validate import validate as run_validate
 from baggie.learning import TrainOptions
 from baggie.learning import train as run_train
+from baggie.policies.export import ExportOptions
+from baggie.policies.export import export as run_export
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -106,6 +108,18 @@ def report(options: ReportOptions, json: bool = False) -> None:
     show({"report": str(run_report(options))}, json)
 
 
+def export(options: ExportOptions, json: bool = False) -> None:
+    """Write a trained policy as files that run without PyTorch, and check that it says the same.
+
+    Example: baggie export --policy runs/keypoint --out exported/keypoint
+
+    Args:
+        options: What to export.
+        json: Print what was written as one JSON object.
+    """
+    show(run_export(options), json)
+
+
 def print_target(options: PrintOptions, json: bool = False) -> None:
     """Make a marker, a board or a goal card as a PDF at true size.
 
@@ -120,7 +134,7 @@ def print_target(options: PrintOptions, json: bool = False) -> None:
 
 VERBS: dict[str, Callable[..., None]] = {
     verb.__name__.replace("_", "-"): verb
-    for verb in (collect, inspect, train, validate, evaluate, report, calibrate, print_target)
+    for verb in (collect, inspect, train, validate, evaluate, report, export, calibrate, print_target)
 }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import cv2
 from rich.console import Console
@@ -35,6 +35,9 @@ PICTURE_SIZE = (640, 360)
 """`(width, height)` of the recorded pictures."""
 COVERAGE_FILE = "coverage.png"
 
+CollectedScenery = Literal["plain", "varied"]
+"""What a recording may show: what others show is kept for evaluation."""
+
 OpenCell = Callable[[int], CollectorCell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
 
@@ -53,6 +56,8 @@ class CollectOptions:
     """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
     cell: int = 0
     """Number of the simulated workcell."""
+    scenery: CollectedScenery = "plain"
+    """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
     workers: int | None = None
@@ -65,6 +70,14 @@ class CollectOptions:
         for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
             if getattr(self, name) < least:
                 raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
+        known = get_args(CollectedScenery)
+        if self.scenery not in known:
+            raise BaggieError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
+        if self.scenery != "plain" and self.workcell is not None:
+            raise BaggieError(
+                f"expected the scenery plain with --workcell, which says what the bag is, got {self.scenery!r}; "
+                "leave one of them out"
+            )
         if self.workers is not None and self.workers < 1:
             raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
 
@@ -72,16 +85,17 @@ class CollectOptions:
         """The command line that goes on with this collection."""
         words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
         words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
+        words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
         words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
         return shlex.join(words)
 
 
-def open_simulated_cell(number: int) -> CollectorCell:
+def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> CollectorCell:
     """The simulated workcell; imported late, because MuJoCo takes its time."""
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
-    return open_simulated(number)
+    return open_simulated(number, scenery=scenery)
 
 
 def open_file_cell(path: Path, number: int) -> CollectorCell:
@@ -109,8 +123,10 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     options.check()
     if options.workcell is not None:
         open_cell = functools.partial(open_file_cell, options.workcell)
+    elif open_cell is open_simulated_cell:
+        open_cell = functools.partial(open_simulated_cell, scenery=options.scenery)
     console = Console(stderr=True)
-    collection = {"seed": options.seed, "cell": options.cell}
+    collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery}
     with DatasetWriter(
         options.out,
         task=INSTRUCTIONS[options.task],
@@ -164,7 +180,9 @@ def _record(
         console.print(f"all {options.attempts} attempts are recorded already")
         return None
     recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
-    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE
+    # Another table, or another lamp, is no bump.
+    watched = options.scenery == "plain"
+    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if watched else None
     worker = functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
     done, good, start = 0, 0, time.monotonic()
     progress = Progress(
@@ -197,12 +215,12 @@ def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, 
 
 
 def _open_worker(
-    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording, reference: Path
+    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording, reference: Path | None
 ) -> Callable[[tuple[int, ...]], Iterable[Attempt]]:
     """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
     cv2.setNumThreads(1)
     cell = open_cell(recording.cell)
-    cell.watch = Watch(read_picture(reference))
+    cell.watch = Watch(read_picture(reference)) if reference else None
 
     def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
         number = wanted[0] // ATTEMPTS_PER_SITTING

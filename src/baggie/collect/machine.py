@@ -22,12 +22,21 @@ import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
-from baggie.collect.places import false_45, grip_yaw, nearest_grip, random_place
+from baggie.collect.places import (
+    false_45,
+    grip_yaw,
+    long_place_yaw,
+    long_yaw,
+    nearest_grip,
+    random_place,
+)
 from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection, find_bag
 
+LONG = 2
+"""The symmetry of an object that is longer than wide."""
 MAX_TRIES = 3
 MAX_LOOKS = 3
 MAX_ASKS = 2
@@ -87,6 +96,8 @@ class Turn:
             return None, None
         x, y = self.image_to_robot.to_robot(found.center)[0]
         yaw = self.image_to_robot.yaw_to_robot(found.center, found.yaw)
+        if self.cell.settings.object_symmetry == LONG:
+            yaw = long_yaw(self.image_to_robot, found.corners, yaw)
         return found, PlanarPose(float(x), float(y), yaw)
 
 
@@ -119,9 +130,11 @@ def plan(turn: Turn) -> State:
             f"put it back into the workspace, {settings.workspace}"
         )
         return State.ASK
-    turn.doubted = false_45(pose.yaw) and not turn.doubted_before
-    pick = PlanarPose(*grip, grip_yaw(pose.yaw, turn.doubted_before))
-    turn.action = PickPlace(pick, random_place(settings.workspace, pick, turn.rng))
+    long = settings.object_symmetry == LONG
+    turn.doubted = not long and false_45(pose.yaw) and not turn.doubted_before
+    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, turn.doubted_before))
+    place = random_place(settings.workspace, pick, turn.rng)
+    turn.action = PickPlace(pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place)
     return State.MOVE
 
 

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose, Rectangle
+from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
 
 MIN_DISTANCE_M = 0.20
 MARGIN_M = 0.03
@@ -48,6 +49,26 @@ def grip_yaw(yaw: float, doubted_before: bool) -> float:
     so the second in a row (`doubted_before`) is believed.
     """
     return 0.0 if false_45(yaw) and not doubted_before else yaw
+
+
+def long_yaw(image_to_robot: ImageToRobot, corners: FloatArray, yaw: float) -> float:
+    """The angle of a long object's long side; radians in [-pi/2, pi/2).
+
+    `corners` `(4, 2)`, pixels, in turn around it, tell which side is the long one; `yaw`, modulo a quarter turn, its
+    angle. A gripper at this angle closes across the narrow side: at yaw 0 fingers open along y.
+    """
+    sides = np.roll(on_table := image_to_robot.to_robot(corners), -1, axis=0) - on_table
+    x, y = sides[int(np.argmax(np.linalg.norm(sides[:2] - sides[2:], axis=1)))]
+    quarters = round((math.atan2(y, x) - yaw) / (math.pi / 2))
+    return wrap_angle(yaw + quarters * math.pi / 2, math.pi)
+
+
+def long_place_yaw(pick_yaw: float, rng: np.random.Generator) -> float:
+    """The gripper's angle to put a long object down squared up: along x or along y, whichever chance says.
+
+    Along y the way round that turns the wrist less.
+    """
+    return 0.0 if rng.random() < 0.5 else math.copysign(math.pi / 2, pick_yaw)
 
 
 def nearest_grip(workspace: Rectangle, x: float, y: float, reach: float) -> tuple[float, float] | None:

@@ -14,9 +14,15 @@ def goal_of(attempt: Attempt, style: GoalStyle = "solid", color: tuple[int, int,
 
     Hindsight relabelling: whatever the attempt was meant to do, it shows how to reach where the bag lies now.
     Nothing is painted here; `baggie.vision.draw.paint_goal` does that when a picture is read, so that one
-    recording serves every style and colour. Raises `DataError` when the bag was not found in the picture
-    after.
+    recording serves every style and colour, the printed card's in today's light too (`vision.goal_card.measure_color`).
+    Raises `DataError` when the bag was not found in the picture after, `BaggieError` for the style `card`: none lies in
+    a recorded picture, so that nothing at all would show the goal.
     """
+    if style == "card":
+        raise BaggieError(
+            "expected the style outline or solid for a recorded goal, got card: none lies in the pictures; "
+            "give the card's colour and let it be painted"
+        )
     if not np.isfinite(attempt.box_after).all():
         raise DataError(
             f"attempt {attempt.attempt_id} has no goal: the bag was not found in its picture after"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,66 +18,20 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from baggie.collect.calibrate import calibrate_into
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
-from baggie.evaluation.episode import Bench, Episode, run_episode
-from baggie.evaluation.log import append_line, read_lines
-from baggie.evaluation.metrics import Rate, success_rate, summary
+from baggie.evaluation.bench import Bench
+from baggie.evaluation.card_map import card_map
+from baggie.evaluation.closed_loop_metrics import measure
+from baggie.evaluation.episode import Episode, read_episodes, run_episode
+from baggie.evaluation.log import append_line
+from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.results import provenance, write_json
-from baggie.evaluation.subjects import config_of, fingerprint, open_policy, policy_name
-from baggie.policies import ColorMaskPolicy, OraclePolicy
+from baggie.evaluation.subjects import config_of, fingerprint, in_its_cell, policy_name
+from baggie.policies import ColorMaskPolicy
 from baggie.policies.color_mask import CONFIG_FILE
 from baggie.processes import stream_in_processes
 from baggie.seeds import EVALUATION
-from baggie.vision.picture_files import read_picture
-from baggie.workcell.watch import REFERENCE_FILE, Watch
 
-TASKS = ("bag-place",)
-RADII_CM = (1.0, 2.0, 3.0)
-
-
-@dataclass(frozen=True)
-class EvaluateOptions:
-    """Run a policy in the closed loop on unseen scenes of the simulator, and measure where the bags end.
-
-    Again with the same words it goes on where it stopped; with more episodes it adds to those it has.
-
-    Example: baggie evaluate --policy runs/keypoint --episodes 100 --out runs/keypoint/evaluation
-    """
-
-    policy: str
-    """A training run's folder, a Hub id, `color-mask`, or `oracle`, which reads the simulator's truth."""
-    out: Path
-    """Where metrics.json, episodes.jsonl, pictures and videos go."""
-    task: str = "bag-place"
-    """What to do. There is one: bag-place."""
-    episodes: int = 100
-    """How many scenes."""
-    seed: int = 0
-    """Names the scenes; no seed of `collect` ever gives one of them."""
-    cell: int = 0
-    """The workcell; a policy belongs to the one it was trained in."""
-    radius_cm: float = 2.0
-    """A bag this near the middle of its goal is a success."""
-    retries: int = 2
-    """How often to look again when the gripper noticed that it missed."""
-    workers: int | None = None
-    """Processes, each with a workcell of its own; as many as there are cores unless given."""
-    film: int = 2
-    """How many of the first episodes to make a video of."""
-    calibration: Path | None = None
-    """For `color-mask`: a recording of this cell, whose map to use; by default the cell is calibrated."""
-
-    def check(self) -> None:
-        """Raise `BaggieError` for what cannot be evaluated."""
-        if self.task not in TASKS:
-            raise BaggieError(f"expected a task among {', '.join(TASKS)}, got {self.task!r}")
-        for name, least in (("episodes", 1), ("seed", 0), ("cell", 0), ("retries", 0), ("film", 0)):
-            if getattr(self, name) < least:
-                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
-        if self.workers is not None and self.workers < 1:
-            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
-        if self.radius_cm <= 0:
-            raise BaggieError(f"expected --radius-cm above 0, got {self.radius_cm}")
-
+__all__ = ["EvaluateOptions", "OpenBench", "evaluate", "open_simulated_bench"]
 
 OpenBench = Callable[[EvaluateOptions], Bench]
 """Makes a cell and the policy in it; called once in each process, so it must be a function of a module."""
@@ -87,25 +39,9 @@ OpenBench = Callable[[EvaluateOptions], Bench]
 
 def open_simulated_bench(options: EvaluateOptions) -> Bench:
     """The simulated cell and the policy named; imported late, because MuJoCo takes its time."""
-    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
+    from baggie.evaluation.simulated_bench import open_bench  # noqa: PLC0415
 
-    cell = open_simulated(options.cell)
-    reference = _reference(options)
-    cell.watch = Watch(read_picture(reference)) if reference else None
-    if options.policy != OraclePolicy.name:
-        return Bench(cell, open_policy(options.policy, options.calibration or options.out))
-    bench = Bench(cell, OraclePolicy(cell.truth, lambda: bench.goal))
-    return bench
-
-
-def _reference(options: EvaluateOptions) -> Path | None:
-    """What the camera saw when the policy's cell was calibrated, if that is known and it is this cell."""
-    folder = Path(options.policy)
-    if options.policy == ColorMaskPolicy.name:
-        folder = (options.calibration or options.out) / CALIBRATION_FOLDER
-    elif config_of(options.policy).get("cell", options.cell) != options.cell:
-        return None
-    return folder / REFERENCE_FILE if (folder / REFERENCE_FILE).exists() else None
+    return open_bench(options)
 
 
 def evaluate(options: EvaluateOptions, open_bench: OpenBench = open_simulated_bench) -> dict[str, Any]:
@@ -113,17 +49,19 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench = open_simulated_be
 
     The same options give the same episodes, whatever the number of workers and however often interrupted.
 
-    Raises `BaggieError` for an unknown task or policy, or when `out` holds another evaluation;
+    Raises `BaggieError` for an unknown task, scenery, goal or policy, or when `out` holds another evaluation;
     `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     name = policy_name(options.policy)
     console = Console(stderr=True)
     _warn_of_another_cell(options, console)
-    _same_evaluation(options)
-    _calibrate_if_needed(options, console)
+    raised = _card_raised(options, console)
+    _same_evaluation(options, raised)
+    if open_bench is open_simulated_bench:
+        _calibrate_if_needed(options, console)
     log = options.out / "episodes.jsonl"
-    episodes = {episode.episode: episode for episode in map(Episode.from_json, read_lines(log))}
+    episodes = {episode.episode: episode for episode in read_episodes(log)}
     missing = [number for number in range(options.episodes) if number not in episodes]
     try:
         for episode in _run(options, open_bench, missing, console):
@@ -137,35 +75,14 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench = open_simulated_be
         "run": Path(options.policy).name,
         "task": options.task,
         "cell": options.cell,
+        "scenery": options.scenery,
+        "goal": options.goal,
+        **({"card_raised": raised} if options.goal == "card" else {}),
         **measure([episodes[number] for number in range(options.episodes)], options.radius_cm),
         "provenance": provenance([options.seed]),
     }
     write_json(options.out / "metrics.json", metrics)
     return metrics
-
-
-def measure(episodes: Sequence[Episode], radius_cm: float) -> dict[str, Any]:
-    """`success` within `radius_cm`, `success_within` 1, 2, 3 cm, summaries of errors and times, failures.
-
-    The cause of a failure is what the cell or the policy gave, else `off-goal`.
-    """
-    distances = [episode.distance_cm for episode in episodes]
-
-    def within(radius: float) -> Rate:
-        return success_rate(sum(distance <= radius for distance in distances), len(distances))
-
-    failed = [episode for episode in episodes if episode.distance_cm > radius_cm]
-    causes = Counter(episode.failure or "off-goal" for episode in failed)
-    return {
-        "success": within(radius_cm),
-        "radius_cm": radius_cm,
-        "success_within": {f"{radius:g}_cm": within(radius) for radius in RADII_CM},
-        "distance_cm": summary(distances),
-        "yaw_error_deg": summary([episode.yaw_error_deg for episode in episodes]),
-        "decision_ms": summary([ms for episode in episodes for ms in episode.decision_ms]),
-        "looks": summary([episode.looks for episode in episodes]),
-        "failures": dict(causes.most_common()),
-    }
 
 
 def _run(
@@ -192,6 +109,7 @@ def _open_worker(options: EvaluateOptions, open_bench: OpenBench) -> Callable[[i
             bench,
             number,
             (EVALUATION, options.seed),
+            goal_kind=options.goal,
             retries=options.retries,
             out=options.out / "episodes",
             film=number < options.film,
@@ -201,9 +119,23 @@ def _open_worker(options: EvaluateOptions, open_bench: OpenBench) -> Callable[[i
 
 
 def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
-    trained_in = config_of(options.policy).get("cell", options.cell)
-    if trained_in != options.cell:
+    if not in_its_cell(options.policy, options.cell):
+        trained_in = config_of(options.policy)["cell"]
         console.print(f"warning: {options.policy} belongs to cell {trained_in}, not to cell {options.cell}")
+
+
+def _card_raised(options: EvaluateOptions, console: Console) -> bool:
+    """Whether a map of the cell is, or will be, known that raises a card's corners to the bag's height."""
+    if options.goal != "card":
+        return False
+    will_be = options.policy == ColorMaskPolicy.name and options.calibration is None
+    if will_be or card_map(options) is not None:
+        return True
+    console.print(
+        "warning: no calibration of this cell tells how much lower a card lies than a bag's middle; its corners are "
+        "taken as seen, some millimetres off at the picture's edge; give --calibration a recording of the cell"
+    )
+    return False
 
 
 def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
@@ -220,7 +152,7 @@ def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
         calibrate_into(folder, cell, options.seed)
 
 
-def _same_evaluation(options: EvaluateOptions) -> None:
+def _same_evaluation(options: EvaluateOptions, raised: bool) -> None:
     """Never mix two evaluations in one folder: the log belongs to one policy and one stream of scenes."""
     path = options.out / "evaluation.json"
     asked = {
@@ -229,6 +161,9 @@ def _same_evaluation(options: EvaluateOptions) -> None:
         "task": options.task,
         "seed": options.seed,
         "cell": options.cell,
+        "scenery": options.scenery,
+        "goal": options.goal,
+        "card_raised": raised,
         "retries": options.retries,
     }
     if not path.exists():

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TypedDict
+from collections.abc import Sequence
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,8 +84,30 @@ def position_error_cm(a: PlanarPose, b: PlanarPose) -> float:
 
 
 def yaw_error_deg(a: PlanarPose, b: PlanarPose, symmetry: int = 4) -> float:
-    """Degrees between the yaws of two poses of an object that looks the same `symmetry` times a turn."""
+    """Degrees between the yaws of two poses of an object that looks the same `symmetry` times a turn.
+
+    A symmetry of 0 is that of a round object, which looks the same at any angle: no error.
+    """
+    if symmetry == 0:
+        return 0.0
     return abs(math.degrees(wrap_angle(a.yaw - b.yaw, 2 * math.pi / symmetry)))
+
+
+def within_stated(what: str, errors_cm: Sequence[float], radii_m: Sequence[float | None]) -> dict[str, Any]:
+    """How true plans are to the radii they state, of picks or places (`what`); empty where none states one.
+
+    `WHAT_within` is the share of errors inside their own radius, nine of ten by `Plan`'s definition, and
+    `WHAT_radius_cm` a summary of the radii.
+    """
+    pairs = zip(errors_cm, radii_m, strict=True)
+    stated = [(error, 100 * radius) for error, radius in pairs if radius is not None]
+    if not stated:
+        return {}
+    inside = sum(error <= radius for error, radius in stated)
+    return {
+        f"{what}_within": success_rate(inside, len(stated)),
+        f"{what}_radius_cm": summary([radius for _, radius in stated]),
+    }
 
 
 def references(attempt: Attempt) -> dict[str, PickPlace]:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.episode import Episode
-from baggie.evaluation.log import read_lines
+from baggie.evaluation.episode import Episode, read_episodes
 from baggie.geometry import FloatArray
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Steps and values, `(N,)` each."""
 BASELINES = ("color-mask", "oracle")
+_GOALS = {"turned": "turned goals", "card": "card"}
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,14 @@ class Evaluation:
     run: str
     metrics: dict[str, Any]
     episodes: list[Episode]
+
+    @property
+    def conditions(self) -> str:
+        """In what it differs from the plain closed loop: scenery and how goals were given; empty for nothing."""
+        scenery, goal = self.metrics["scenery"], self.metrics["goal"]
+        return ", ".join(
+            [*([scenery] if scenery != "plain" else []), *([_GOALS[goal]] if goal != "virtual" else [])]
+        )
 
     def distances_cm(self) -> list[float]:
         """Of every episode, from bag to goal at the end."""
@@ -142,7 +150,11 @@ def gather(folders: Sequence[Path]) -> Results:
     def named(items: Sequence[Found]) -> list[Found]:
         return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
 
-    return Results(named(trainings), named(validations), named(evaluations))
+    def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
+        """Each under its conditions: a policy is as many rows as there are tests it was put to."""
+        return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+
+    return Results(named(trainings), named(validations), told_apart(named(evaluations)))
 
 
 def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | None]) -> list[Found]:
@@ -183,7 +195,7 @@ def _evaluation(folder: Path) -> Evaluation | None:
     if not (folder / "metrics.json").exists():
         return None  # still running
     metrics = _json(folder / "metrics.json")
-    episodes = [Episode.from_json(record) for record in read_lines(folder / "episodes.jsonl")]
+    episodes = read_episodes(folder / "episodes.jsonl")
     chosen = sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
     return Evaluation(folder, metrics["policy"], metrics["run"], metrics, chosen)
 

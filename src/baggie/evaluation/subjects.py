@@ -34,6 +34,11 @@ def config_of(policy: str) -> dict[str, Any]:
     return {} if policy in NAMED else checkpoint.read_config(checkpoint.fetch(policy))
 
 
+def in_its_cell(policy: str, cell: int) -> bool:
+    """Whether a policy, if it was trained, was trained in this cell."""
+    return bool(config_of(policy).get("cell", cell) == cell)
+
+
 def policy_name(policy: str) -> str:
     """What `--policy` names: `keypoint` for the folder or Hub id of such a run, itself for a name."""
     return policy if policy in NAMED else str(config_of(policy)["policy"])

@@ -41,7 +41,6 @@ _WARM_UP = 0.06
 _ROUND_CM = 0.5
 """Errors below this count squared: labels are no better."""
 _SPREAD_CELLS = 1.5
-_HEAT_WEIGHT = 0.2
 _YAW_WEIGHT = 1.0
 _APART = 0.75
 """Of the sum of their sizes: a painted goal nearer than this to the object would hide it."""
@@ -72,6 +71,9 @@ class KeypointRecipe:
     steps: ClassVar[int] = 600
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 5.0
+    network_class: ClassVar[type[KeypointNet]] = KeypointNet
+    heat_weight: ClassVar[float] = 0.2
+    """Of the heat maps' cross-entropy, nats, against position errors of half a centimetre."""
     policy: KeypointPolicy
 
     def __init__(self, attempts: Sequence[Attempt], options: KeypointOptions | None = None) -> None:
@@ -101,7 +103,7 @@ class KeypointRecipe:
 
     def _network(self) -> KeypointNet:
         options = self.options
-        network = KeypointNet(channels=options.goal_input.channels, backbone=options.backbone)
+        network = self.network_class(channels=options.goal_input.channels, backbone=options.backbone)
         if options.weights is not None:
             assert isinstance(network.features, ResNetFeatures)
             network.features.load_imagenet(load_imagenet(options.weights))
@@ -206,7 +208,7 @@ class KeypointRecipe:
             "heat_map_nats": heat,
             "phase": yaw,
         }
-        total = position + _HEAT_WEIGHT * heat + _YAW_WEIGHT * yaw
+        total = position + self.heat_weight * heat + _YAW_WEIGHT * yaw
         return total, {name: part.detach() for name, part in parts.items()}
 
     def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:

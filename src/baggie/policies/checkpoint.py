@@ -1,4 +1,7 @@
-"""Checkpoints: a folder, local or on the Hub, with `config.yaml` to read and `policy.safetensors` to load."""
+"""A policy's folder, local or on the Hub: `config.yaml` to read, beside it `policy.safetensors` or `policy.onnx`.
+
+Nothing here needs PyTorch; `weights.py` does.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import huggingface_hub
-import safetensors
-import safetensors.torch
 import yaml
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
-from torch import Tensor
 
-from baggie.data.files import write_all
 from baggie.errors import DataError
 
 CONFIG = "config.yaml"
 WEIGHTS = "policy.safetensors"
+"""Of a training run: PyTorch loads it."""
+GRAPH = "policy.onnx"
+"""Of an exported policy: onnxruntime runs it."""
 
 _HUB_ID = re.compile(r"[\w.-]+/[\w.-]+")
 
@@ -34,7 +36,7 @@ def fetch(source: str | Path) -> Path:
     if not _HUB_ID.fullmatch(str(source)):
         raise DataError(f"{source} is neither the folder of a training run nor a Hub id like owner/name")
     try:
-        return Path(huggingface_hub.snapshot_download(str(source), allow_patterns=[CONFIG, WEIGHTS]))
+        return Path(huggingface_hub.snapshot_download(str(source), allow_patterns=[CONFIG, WEIGHTS, GRAPH]))
     except (HfHubHTTPError, HFValidationError, LocalEntryNotFoundError, OSError) as error:
         reason = str(error).strip().partition("\n")[0]
         raise DataError(
@@ -42,13 +44,9 @@ def fetch(source: str | Path) -> Path:
         ) from None
 
 
-def write(folder: Path, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-    """Write both files, complete or not at all. Raises `DataError` when that is impossible."""
-    weights = safetensors.torch.save(
-        {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()},
-        metadata={"policy": str(config["policy"])},
-    )
-    write_files(folder, {WEIGHTS: weights, CONFIG: config_bytes(config)})
+def is_exported(folder: Path) -> bool:
+    """Whether it holds an exported policy, and no training run."""
+    return (folder / GRAPH).exists() and not (folder / WEIGHTS).exists()
 
 
 def config_bytes(config: Mapping[str, Any]) -> bytes:
@@ -62,6 +60,8 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     Raises `DataError` when that is impossible: a full disk, no right to write.
     """
+    from baggie.data.files import write_all  # noqa: PLC0415 -- what only reads needs no pyarrow
+
     partial = folder / ".partial"
     try:
         write_all([(folder / name, content) for name, content in files.items()], partial)
@@ -85,21 +85,3 @@ def read_config(folder: Path) -> dict[str, Any]:
     if not isinstance(config, dict) or "policy" not in config:
         raise DataError(f"{path} does not describe a policy: give the folder of a training run")
     return config
-
-
-def read_weights(folder: Path, policy: str) -> dict[str, Tensor]:
-    """The tensors of `policy.safetensors`. Raises `DataError` when missing, cut off, or of another policy."""
-    path = folder / WEIGHTS
-    if not path.exists():
-        raise DataError(
-            f"{path} is missing: the training has not finished; run the same `baggie train` again"
-        )
-    try:
-        with safetensors.safe_open(path, framework="pt") as file:
-            owner = (file.metadata() or {}).get("policy")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
-    except (safetensors.SafetensorError, OSError):
-        raise DataError(f"{path} is cut off or damaged: train again, or take a copy") from None
-    if owner != policy:
-        raise DataError(f"{path} holds the weights of a {owner} policy, but {policy} was asked for")
-    return tensors

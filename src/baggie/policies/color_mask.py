@@ -52,7 +52,9 @@ class ColorMaskPolicy(Policy):
                 "bring it into view or choose another colour"
             )
         pick = _pose(to_robot, found.center, found.yaw)
-        place = _pose(to_robot, goal.center, _goal_yaw(goal))
+        # On the table: the middle of what a tilted camera sees is not what it sees of the middle.
+        x, y = to_robot.to_robot(goal.corners).mean(axis=0)
+        place = PlanarPose(float(x), float(y), to_robot.yaw_to_robot(goal.center, _goal_yaw(goal)))
         return Plan(PickPlace(pick, place), found.confidence, views={"object": found.mask.astype(np.float32)})
 
     def save(self, folder: Path) -> None:

@@ -54,14 +54,15 @@ class KeypointPolicy(LearnedPolicy):
 
     def plan(self, observation: Observation, goal: Goal) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(self._read, self.view, self.goal_input, observation, goal)
+        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, goal)
 
     def reader(self) -> KeypointReader:
         """The network with all that is computed from it, in evaluation mode: what is exported."""
         reader = KeypointReader(self.network, keypoint_plan.to_picture(self.view))
         return reader.to(self.device).eval()
 
-    def _read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
+    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
+        """Run the network; see `keypoint_plan.Read`."""
         with torch.inference_mode():
             given = (torch.from_numpy(array).to(self.device) for array in (images, near, corners))
             return Reading(*(part.cpu().numpy() for part in self.reader()(*given)))

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from baggie.errors import DataError
-from baggie.policies import checkpoint
+from baggie.policies import checkpoint, weights
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, Plan
 
@@ -79,7 +79,7 @@ class LearnedPolicy(Policy):
 
     def save_pretrained(self, folder: Path | str) -> None:
         """Write `config.yaml` and `policy.safetensors`, complete or not at all. Raises `DataError`."""
-        checkpoint.write(Path(folder), self.config(), self.network.state_dict())
+        weights.write(Path(folder), self.config(), self.network.state_dict())
 
     @classmethod
     def from_pretrained(cls, source: Path | str, device: str = "cpu") -> Self:
@@ -91,11 +91,11 @@ class LearnedPolicy(Policy):
         config = checkpoint.read_config(folder)
         if config["policy"] != cls.name:
             raise DataError(f"{folder} holds a {config['policy']} policy, but {cls.name} was asked for")
-        weights = checkpoint.read_weights(folder, cls.name)
+        tensors = weights.read(folder, cls.name)
         try:
             width, height = config["picture_size"]
             policy = cls.build(config["model"], (int(width), int(height)), int(config["cell"]))
-            policy.network.load_state_dict(weights)
+            policy.network.load_state_dict(tensors)
         except (KeyError, TypeError, ValueError, RuntimeError):
             raise DataError(
                 f"{folder / checkpoint.CONFIG} and {checkpoint.WEIGHTS} do not belong together: "

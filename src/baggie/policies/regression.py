@@ -6,23 +6,18 @@ It is the baseline to beat, kept as published: 7.8 cm off when picking, 5.8 cm w
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Self
 
-import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from baggie.geometry import PlanarPose
-from baggie.policies.as_trained import as_trained
+from baggie.policies import regression_plan
+from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18
-from baggie.types import Goal, GoalStyle, Image, Observation, PickPlace, Plan
-from baggie.vision.draw import paint_goal
-
-SIDE = 224
-"""The network's input is this many pixels wide and high, whatever the shape of the picture."""
+from baggie.types import Goal, GoalStyle, Image, Observation, Plan
 
 
 class Regressor(nn.Module):
@@ -76,32 +71,29 @@ class RegressionPolicy(LearnedPolicy):
     ) -> None:
         """Goals are drawn in the style and colour (RGB) it was trained with, whatever is asked."""
         super().__init__(network, picture_size, cell)
-        self.goal_style = goal_style
-        self.goal_color = goal_color
+        self.goal_input = GoalInput("painted", goal_style, goal_color)
 
     def model_config(self) -> dict[str, Any]:
         """Nothing but how goals are drawn."""
-        return {"goal_style": self.goal_style, "goal_color": list(self.goal_color)}
+        return {"goal_style": self.goal_input.style, "goal_color": list(self.goal_input.color)}
 
     @classmethod
     def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
         """The policy with an untrained network."""
-        red, green, blue = (int(value) for value in model["goal_color"])
-        return cls(RegressionNet(), picture_size, cell, model["goal_style"], (red, green, blue))
+        drawn = regression_plan.goal_input(model)
+        return cls(RegressionNet(), picture_size, cell, drawn.style, drawn.color)
 
     def painted(self, picture: Image, goal: Goal) -> Image:
-        """A picture at its trained size and its goal -> the network's input `(224, 224, 3)` uint8."""
-        small = np.asarray(cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA), np.uint8)
-        height, width = picture.shape[:2]
-        if goal.style != "card":  # which lies there already
-            goal = replace(goal, style=self.goal_style, color=self.goal_color)
-        return paint_goal(small, goal.scaled(SIDE / width, SIDE / height))
+        """A picture at its trained size and its goal -> `(224, 224, 3)` uint8 with the goal painted in it."""
+        return regression_plan.network_input(self.goal_input, picture, goal).transpose(1, 2, 0)
 
     def plan(self, observation: Observation, goal: Goal) -> Plan:
-        """Pick and place positions; yaw 0 and confidence 1, as it has no word on either."""
-        image = self.painted(*as_trained(observation, goal, self.picture_size))
-        batch = torch.from_numpy(image.transpose(2, 0, 1).copy()).unsqueeze(0).to(self.device)
+        """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
+        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, goal)
+
+    def read(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Run the network; see `regression_plan.Read`."""
         self.network.eval()
         with torch.inference_mode():
-            pick, place = self.network(batch)[0].cpu().double().numpy()
-        return Plan(PickPlace(PlanarPose(*map(float, pick)), PlanarPose(*map(float, place))))
+            found: Tensor = self.network(torch.from_numpy(images).to(self.device))
+        return np.asarray(found.cpu().numpy())

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 
 GRID = 7  # points along each side; 7 x 7 points on 4 x 4 x 1 cells is the coarsest that still drapes
-NAME = "bag"
+BAG, SECOND_BAG = "bag", "second"
+"""Names of the flexes in the model."""
+LONG_ASPECT = 1.2
+"""How many times longer than wide a long bag is at least."""
+FULL_HEIGHT_M = 0.03
+"""How thick a bag with a fill of 1 is once it has settled."""
+
+Shape = Literal["square", "round", "long"]
+Fabric = Literal["plain", "weave", "stripes", "checks", "dots"]
 
 
 @dataclass(frozen=True)
@@ -17,7 +27,7 @@ class BagParameters:
     """What a bag is made of. The defaults are a 200 g bean bag of 12 cm that a hand would call soft."""
 
     length_m: float = 0.12
-    """Along its own x."""
+    """Along its own x: the long side of a long bag."""
     width_m: float = 0.12
     """Along its own y."""
     fill: float = 1.0
@@ -32,7 +42,35 @@ class BagParameters:
     color: tuple[int, int, int] = (196, 40, 44)
     """RGB of the cloth."""
     weave: float = 0.12
-    """Contrast of the cloth's pattern, 0 for plain."""
+    """Contrast of the cloth's threads, mottle and seam; 0 for none of them."""
+    shape: Shape = "square"
+    fabric: Fabric = "weave"
+    accent: tuple[int, int, int] = (118, 24, 26)
+    """RGB of what is printed on stripes, checks and dots."""
+    repeat_m: float = 0.03
+    """After how much cloth the print repeats."""
+
+    def __post_init__(self) -> None:
+        if self.shape == "long" and self.length_m < LONG_ASPECT * self.width_m:
+            raise BaggieError(
+                f"expected a long bag at least {LONG_ASPECT} times as long as wide, got {self.length_m:.3f} x "
+                f"{self.width_m:.3f} m; make it longer or its shape square"
+            )
+        if self.shape == "round" and self.length_m != self.width_m:
+            raise BaggieError(
+                f"expected a round bag as long as wide, got {self.length_m:.3f} x {self.width_m:.3f} m; "
+                "give both sides its diameter"
+            )
+
+    @property
+    def symmetry(self) -> int:
+        """How many times a turn it looks the same: 4 for a square, 2 for a long one; 0 means at any angle, round."""
+        return {"square": 4, "long": 2, "round": 0}[self.shape]
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Length, width and resting height."""
+        return self.length_m, self.width_m, FULL_HEIGHT_M * self.fill
 
     @property
     def thickness_m(self) -> float:
@@ -57,7 +95,10 @@ class BagParameters:
 
 
 def pillow(bag: BagParameters) -> tuple[FloatArray, np.ndarray]:
-    """Points `(P, 3)` metres about the bag's centre, and tetrahedra `(T, 4)`, of two sheets that meet in a seam."""
+    """Points `(P, 3)` metres about the bag's centre, and tetrahedra `(T, 4)`, of two sheets that meet in a seam.
+
+    A round bag is the square one with its grid mapped to a disc (elliptical grid mapping, Fong 2015, arXiv:1509.06344).
+    """
     grid = np.linspace(-1.0, 1.0, GRID)
     points: list[tuple[float, float, float]] = []
     index: dict[tuple[int, int, int], int] = {}
@@ -67,7 +108,8 @@ def pillow(bag: BagParameters) -> tuple[FloatArray, np.ndarray]:
             sides = (-1, 1) if half > 0 else (0,)
             for side in sides:
                 index[i, j, side] = len(points)
-                points.append((u * bag.length_m / 2, v * bag.width_m / 2, side * half))
+                x, y = _on_disc(u, v) if bag.shape == "round" else (u, v)
+                points.append((x * bag.length_m / 2, y * bag.width_m / 2, side * half))
 
     def vertex(i: int, j: int, side: int) -> int:
         return index.get((i, j, side), index.get((i, j, 0), -1))
@@ -89,6 +131,11 @@ def pillow(bag: BagParameters) -> tuple[FloatArray, np.ndarray]:
     return vertices, np.array([t for t in tetrahedra if t is not None])
 
 
+def _on_disc(u: float, v: float) -> tuple[float, float]:
+    """The point of the square from -1 to 1 on the unit disc; the square's outline becomes the circle."""
+    return u * (1 - v * v / 2) ** 0.5, v * (1 - u * u / 2) ** 0.5
+
+
 def _right_handed(points: FloatArray, tetrahedron: tuple[int, ...]) -> tuple[int, ...] | None:
     """The tetrahedron with positive volume; None when it is flat."""
     a, b, c, d = (points[k] for k in tetrahedron)
@@ -99,13 +146,13 @@ def _right_handed(points: FloatArray, tetrahedron: tuple[int, ...]) -> tuple[int
     return tetrahedron if volume > 0 else (p, r, q, s)
 
 
-def bag_xml(bag: BagParameters) -> str:
-    """The `flexcomp` element; the bag's centre starts at the origin."""
+def bag_xml(bag: BagParameters, name: str = BAG, cloth: str = "cloth") -> str:
+    """The `flexcomp` element of this name, of the material `cloth`; the bag's centre starts at the origin."""
     points, tetrahedra = pillow(bag)
     texcoord = points[:, :2] / [bag.length_m, bag.width_m] + 0.5
     return f"""
-    <flexcomp name="{NAME}" type="direct" dim="3" dof="trilinear" cellcount="4 4 1"
-        mass="{bag.mass_kg}" radius="0.001" material="cloth"
+    <flexcomp name="{name}" type="direct" dim="3" dof="trilinear" cellcount="4 4 1"
+        mass="{bag.mass_kg}" radius="0.001" material="{cloth}"
         point="{_join(points)}" element="{_join(tetrahedra)}" texcoord="{_join(texcoord)}">
       <contact condim="3" friction="{bag.friction}" solref="0.01 1" selfcollide="none"/>
       <elasticity young="{bag.young_pa}" poisson="{bag.poisson}" damping="{bag.damping}"

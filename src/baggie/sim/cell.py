@@ -41,6 +41,8 @@ class Cell:
     table_grain: float
     """Contrast of the table's texture."""
     floor_color: tuple[int, int, int]
+    table_pattern: int = 0
+    """Which of its many tables stands there; 0 is its own."""
 
     @property
     def T_camera_base(self) -> FloatArray:

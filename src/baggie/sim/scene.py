@@ -1,8 +1,9 @@
-"""Builds the MuJoCo model: the Franka arm, a table, the bag, the goal card, printed sheets, lamps and camera."""
+"""Builds the MuJoCo model: the Franka arm, a table and all that lies on it, printed sheets, lamps and camera."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import mujoco
 import numpy as np
 
 from baggie.geometry import FloatArray, rigid
-from baggie.sim.bag import BagParameters, bag_xml
+from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
 from baggie.sim.cell import Cell
+from baggie.sim.distractors import Distractor, distractor_xml
 from baggie.sim.targets import (
     PLATE,
     PLATE_SIZE_M,
@@ -58,7 +60,7 @@ _WORLD = """
     <texture name="table" type="2d" builtin="flat" width="512" height="512" rgb1="1 1 1"/>
     <texture name="cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
     <material name="table" texture="table" specular="0.1" shininess="0.2"/>
-    <material name="cloth" texture="cloth" specular="0.05"/>
+    <material name="cloth" texture="cloth" specular="0.05"/>{second_cloth}
   </asset>
   <worldbody>
     <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -{table_height}" rgba="{floor} 1"
@@ -71,21 +73,34 @@ _WORLD = """
     </body>
     <camera name="film" pos="1.40 -0.80 0.75" mode="targetbody" target="look_here" fovy="46"/>
     <body name="look_here" pos="0.40 0 0.20"/>
-    {bag}
+    {bags}{distractors}
   </worldbody>
 </mujoco>
 """
 
 
-def build_model(cell: Cell, bag: BagParameters) -> mujoco.MjModel:
-    """The whole workcell as one model, about 160 degrees of freedom."""
+_SECOND_CLOTH = """
+    <texture name="second_cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
+    <material name="second_cloth" texture="second_cloth" specular="0.05"/>"""
+
+
+def build_model(
+    cell: Cell,
+    bag: BagParameters,
+    second: BagParameters | None = None,
+    distractors: Sequence[Distractor] = (),
+) -> mujoco.MjModel:
+    """The whole workcell as one model, about 160 degrees of freedom; a second bag adds as many again."""
+    bags = bag_xml(bag) if second is None else bag_xml(bag) + bag_xml(second, SECOND_BAG, "second_cloth")
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
         table_height=TABLE_HEIGHT_M,
         floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
         card=CARD_SIZE_M / 2,
-        bag=bag_xml(bag),
+        second_cloth=_SECOND_CLOTH if second else "",
+        bags=bags,
+        distractors="".join(distractor_xml(number, thing) for number, thing in enumerate(distractors)),
     )
     scene = mujoco.MjSpec.from_string(xml)
     for number, light in enumerate(cell.lights):
@@ -106,9 +121,12 @@ def build_model(cell: Cell, bag: BagParameters) -> mujoco.MjModel:
         warnings.simplefilter("ignore")
         scene.attach(arm_spec(), prefix=ARM, frame=scene.worldbody.add_frame())
         model = scene.compile()
-    rng = np.random.default_rng([0x7AB1E, cell.number])
+    # Its own pattern, 0, does not change the stream: a seed is padded with zeros.
+    rng = np.random.default_rng([0x7AB1E, cell.number, cell.table_pattern])
     paint(model, "table", table_top(rng, cell.table_color, cell.table_grain))
-    paint(model, "cloth", cloth(rng, bag.color, bag.weave))
+    paint(model, "cloth", cloth(rng, bag))
+    if second is not None:
+        paint(model, "second_cloth", cloth(rng, second))
     return model
 
 

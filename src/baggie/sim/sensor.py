@@ -29,6 +29,11 @@ class Exposure:
         cast = 1.0 + rng.normal(0.0, 0.025, 3)
         return cls(float(rng.uniform(0.88, 1.12)), (float(cast[0]), float(cast[1]), float(cast[2])))
 
+    def times(self, other: Exposure) -> Exposure:
+        """Both together."""
+        (a, b, c), (d, e, f) = self.cast, other.cast
+        return Exposure(self.gain * other.gain, (a * d, b * e, c * f))
+
 
 class Sensor:
     """Turns an ideal picture into a recorded one. One per camera: the vignette belongs to it."""

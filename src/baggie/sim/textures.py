@@ -1,10 +1,13 @@
-"""Procedural textures: a table top with grain, a woven cloth."""
+"""Procedural textures: a table top with grain, cloth woven or printed."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from baggie.geometry import FloatArray
+from baggie.sim.bag import BagParameters, Fabric
 from baggie.types import Image
 
 
@@ -22,12 +25,30 @@ def table_top(rng: np.random.Generator, color: tuple[int, int, int], grain: floa
     return np.asarray(np.clip(picture, 0, 255), np.uint8)
 
 
-def cloth(rng: np.random.Generator, color: tuple[int, int, int], weave: float, size: int = 128) -> Image:
-    """A woven cloth with a seam along its edge, `(size, size, 3)`."""
+def cloth(rng: np.random.Generator, bag: BagParameters, size: int = 128) -> Image:
+    """A bag's cloth, `(size, size, 3)`, stretched over its length and width: threads or a print, a seam at the edge."""
     v, u = np.mgrid[:size, :size]
-    threads = np.sin(u * 2 * np.pi / 8) * np.sin(v * 2 * np.pi / 8)
+    threads = np.sin(u * 2 * np.pi / 8) * np.sin(v * 2 * np.pi / 8) if bag.fabric == "weave" else 0.0
     mottle = cv2.resize(rng.normal(size=(8, 8)), (size, size), interpolation=cv2.INTER_CUBIC)
-    edge = np.minimum(np.minimum(u, v), np.minimum(size - 1 - u, size - 1 - v))
+    if bag.shape == "round":
+        edge = size / 2 - np.hypot(u - (size - 1) / 2, v - (size - 1) / 2)
+    else:
+        edge = np.minimum(np.minimum(u, v), np.minimum(size - 1 - u, size - 1 - v))
     seam = -1.5 * np.exp(-(((edge - 8) / 2.0) ** 2))
-    picture = np.array(color) * (1 + weave * (0.5 * threads + 0.3 * mottle + seam)[..., None])
+    printed = _print(
+        bag.fabric, u * bag.length_m / size / bag.repeat_m, v * bag.width_m / size / bag.repeat_m
+    )
+    color = np.where(printed[..., None], bag.accent, bag.color)
+    picture = color * (1 + bag.weave * (0.5 * threads + 0.3 * mottle + seam)[..., None])
     return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def _print(fabric: Fabric, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+    """Where on the cloth the accent's colour is; `x` and `y` in repeats of the print."""
+    if fabric == "stripes":
+        return np.asarray(y % 1 < 0.5)
+    if fabric == "checks":
+        return np.asarray((x % 1 < 0.5) ^ (y % 1 < 0.5))
+    if fabric == "dots":
+        return np.asarray(np.hypot(x % 1 - 0.5, y % 1 - 0.5) < 0.28)
+    return np.zeros(np.shape(x), bool)

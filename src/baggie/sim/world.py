@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -11,8 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
-from baggie.sim.bag import BagParameters, pillow
+from baggie.sim.bag import BAG, SECOND_BAG, BagParameters
 from baggie.sim.cell import Cell
+from baggie.sim.distractors import Distractor
 from baggie.sim.scene import (
     ARM,
     HOME,
@@ -22,6 +23,8 @@ from baggie.sim.scene import (
     camera_quaternion,
     paint,
 )
+from baggie.sim.soft_body import SoftBody
+from baggie.sim.table import bump_table
 from baggie.sim.targets import (
     PLATE,
     PLATE_SIZE_M,
@@ -39,26 +42,34 @@ MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
 COARSE_TIMESTEP_S = 0.008  # three times as fast, and good where nothing but the table touches the bag
 CLEARANCE_M = 0.03  # further than the hand moves in one control period
 FINGERTIP_M = 0.009  # how far the fingers reach beyond the tool point
+DROP_HEIGHT_M = 0.02
+SECOND_HOME = PlanarPose(0.5, 0.25)  # clear of the first, until it is told where
 
 
 class World:
     """One MuJoCo world. Time passes only inside `advance`, as fast as the processor allows."""
 
-    def __init__(self, cell: Cell, bag: BagParameters | None = None) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        bag: BagParameters | None = None,
+        second: BagParameters | None = None,
+        distractors: Sequence[Distractor] = (),
+    ) -> None:
         # MuJoCo would print every warning and write a file into the current folder. Dropping a bag or squeezing it
         # flat leaves the implicit solve a little short of its tolerance for some steps, which is harmless.
         mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
         self.cell = cell
         self.bag = bag or BagParameters()
-        self.model = build_model(cell, self.bag)
+        self.distractors = tuple(distractors)
+        self.model = build_model(cell, self.bag, second, self.distractors)
         self.data = mujoco.MjData(self.model)
         self.watchers: list[Callable[[], None]] = []
         """Called after every control period; a film camera is one."""
         self.printed: dict[str, tuple[Target, float]] = {}
         """By the texture's name, the target last printed and its scale; renderers keep copies of textures."""
-        nodes = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("bag")]
-        self._node_joints = np.array([self.model.body_jntadr[b] + np.arange(3) for b in nodes])
-        self._node_home = self.model.body_pos[nodes].copy()
+        self._bag = SoftBody(self.model, self.data, BAG, self.bag)
+        self._second = SoftBody(self.model, self.data, SECOND_BAG, second) if second else None
         self._arm_dofs = [int(self.model.joint(f"{ARM}fr3_joint{k}").dofadr[0]) for k in range(1, 8)]
         self._arm_q = [int(self.model.joint(f"{ARM}fr3_joint{k}").qposadr[0]) for k in range(1, 8)]
         self._finger_q = [int(self.model.joint(f"{ARM}finger_joint{k}").qposadr[0]) for k in (1, 2)]
@@ -70,7 +81,6 @@ class World:
         self._wrist = self.model.sensor(f"{ARM}wrist").adr[0]
         self._wrist_site = self.model.site(f"{ARM}wrist").id
         self._tool_site = self.model.site(f"{ARM}tool").id
-        self._points, _ = pillow(self.bag)
         self.reset(PlanarPose(0.5, 0.0))
 
     # -- time ---------------------------------------------------------------------------------------------------
@@ -96,14 +106,19 @@ class World:
         fingertips = self.data.site_xpos[self._tool_site, 2] - FINGERTIP_M
         return bool(fingertips - self.data.flexvert_xpos[:, 2].max() > CLEARANCE_M)
 
-    def reset(self, bag_pose: PlanarPose) -> None:
-        """Arm home, gripper open, the bag dropped flat at this pose without dents, everything at rest."""
+    def reset(self, bag_pose: PlanarPose, second_pose: PlanarPose | None = None) -> None:
+        """Arm home, gripper open, the bag dropped flat at this pose without dents, everything at rest.
+
+        So is the second bag at its own pose, where there is one.
+        """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._arm_q] = HOME
         self.data.qpos[self._finger_q] = 0.04
         self.set_joints(HOME, np.zeros(7))
         self.set_finger_opening(0.04)
         self.set_grip_force(MOVE_FORCE_N)
+        if self._second is not None:
+            self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M)
         self.put_bag(bag_pose)
         self.advance(SETTLE_S)
 
@@ -150,30 +165,25 @@ class World:
         force = self.data.sensordata[self._wrist : self._wrist + 3]
         return float(-(self.data.site_xmat[self._wrist_site].reshape(3, 3) @ force)[2])
 
-    # -- bag, card and printed sheets --------------------------------------------------------------------------
+    # -- bags, card and printed sheets -------------------------------------------------------------------------
 
-    def put_bag(self, pose: PlanarPose, height: float = 0.02) -> None:
+    def put_bag(self, pose: PlanarPose, height: float = DROP_HEIGHT_M) -> None:
         """Lay the bag, undented and at rest, with its centre `height` metres above the table."""
-        c, s = np.cos(pose.yaw), np.sin(pose.yaw)
-        turned = self._node_home @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        shift = turned + np.array([pose.x, pose.y, height]) - self._node_home
-        self.data.qpos[self.model.jnt_qposadr[self._node_joints]] = shift
-        self.data.qvel[self.model.jnt_dofadr[self._node_joints]] = 0.0
+        self._bag.put(pose, height)
         mujoco.mj_forward(self.model, self.data)
 
     @property
     def bag_points(self) -> FloatArray:
         """`(P, 3)` metres: the bag's surface points now."""
-        return np.asarray(self.data.flexvert_xpos.copy())
+        return self._bag.points
 
     def bag_pose(self) -> PlanarPose:
-        """The bag's true centre and yaw: the planar rigid motion that best explains where its points are (Kabsch)."""
-        now = self.bag_points[:, :2]
-        center = now.mean(axis=0)
-        rest = self._points[:, :2]
-        covariance = rest.T @ (now - center)
-        yaw = np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
-        return PlanarPose(float(center[0]), float(center[1]), float(yaw))
+        """The bag's true centre and yaw."""
+        return self._bag.pose()
+
+    def second_pose(self) -> PlanarPose | None:
+        """The same of the second bag, where there is one."""
+        return self._second.pose() if self._second else None
 
     def put_card(self, pose: PlanarPose | None) -> None:
         """Lay the printed goal card on the table, or take it away."""
@@ -234,20 +244,7 @@ class World:
 
         Turned about the base frame's origin and then shifted: what was at `pose` is at `motion @ pose`.
         """
-        turn = Rotation.from_euler("z", motion.yaw)
-        quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
-        top = self.model.geom("table_top")
-        for position, orientation in (
-            (top.pos, top.quat),
-            *zip(self.data.mocap_pos, self.data.mocap_quat, strict=True),
-        ):
-            position[:] = turn.apply(position) + shift
-            mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
-        joints, dofs = self.model.jnt_qposadr[self._node_joints], self.model.jnt_dofadr[self._node_joints]
-        nodes = self._node_home + self.data.qpos[joints]
-        self.data.qpos[joints] = turn.apply(nodes) + shift - self._node_home
-        self.data.qvel[dofs] = turn.apply(self.data.qvel[dofs])
-        mujoco.mj_forward(self.model, self.data)
+        bump_table(self.model, self.data, motion, [bag for bag in (self._bag, self._second) if bag])
 
     def _print(
         self, name: str, target: Target, scale: float, size_m: tuple[float, float], shape: tuple[int, int]

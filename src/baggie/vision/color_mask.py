@@ -1,10 +1,7 @@
 """Find one evenly coloured object in a picture by its colour: the eye of the published system.
 
-A pixel's colour is reduced to the two numbers that do not change with exposure, hue and saturation, as the
-plane vector `s = saturation * exp(i hue)`. Its likeness to the reference is the part of `s` along the
-reference's own vector less the part across it: 1 on the object, about 0 on anything grey. One pass with the
-colour as given finds the object; a second, with the colour it has in *this* light, draws its outline half way
-to its surroundings.
+One pass with the colour as given finds the object (`hue.py` says how); a second, with the colour it has in
+*this* light, draws its outline half way to its surroundings.
 """
 
 from __future__ import annotations
@@ -13,29 +10,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, wrap_angle
 from baggie.types import Image
+from baggie.vision import hue
+from baggie.vision.hue import Mask
 
-Mask = NDArray[np.bool_]
-
-_FIRST_THRESHOLD = 0.5
-_ACROSS_WEIGHT = 1.5
-"""How much a difference in hue counts against a pixel; 1.5 rejects wood (25 degrees) when looking for red."""
-_DARK = 24.0
-"""Pixels whose brightest channel is below this have no reliable hue (of 255)."""
 _MIN_AREA = 4e-4
 _MAX_AREA = 0.25
 """Of the picture: a marker 4 cm across, 1 m from a camera that sees 1.8 m of table; a bag right under it."""
-_SEARCH_WIDTH = 320
-"""Pixels: the object is looked for in a picture this wide and then outlined at full size."""
 _MIN_FILL = 0.6
 _MAX_ASPECT = 2.5
-
-# (R, G, B) -> saturation * brightness * (cos hue, sin hue)
-_CHROMA = np.array([[1.0, -0.5, -0.5], [0.0, 3**0.5 / 2, -(3**0.5) / 2]], np.float32)
 
 
 @dataclass(frozen=True)
@@ -62,22 +47,17 @@ def find_bag(image: Image, color: tuple[int, int, int]) -> Detection | None:
     `color` is the object's RGB colour in ordinary light. Raises `BaggieError` when it is grey, so that no hue
     tells the object from the table.
     """
-    reference = _chroma(np.array([[color]], np.uint8))[0, 0]
-    if np.linalg.norm(reference) < 0.2:
-        raise BaggieError(
-            f"expected an object colour with a clear hue, got the grey RGB {color}; choose another object"
-        )
-    factor = max(1, round(image.shape[1] / _SEARCH_WIDTH))
-    small = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-    chroma = _chroma(np.asarray(small, np.uint8))
-    first = _largest_blob(_likeness(chroma, reference) > _FIRST_THRESHOLD, small.shape[0] * small.shape[1])
+    reference = hue.reference_of(color, "object")
+    small, factor = hue.shrunk(image)
+    chroma = hue.chroma_of(small)
+    alike = hue.likeness(chroma, reference) > hue.FIRST_THRESHOLD
+    first = _largest_blob(alike, small.shape[0] * small.shape[1])
     if first is None:
         return None
-    seen = np.median(chroma[_inside(first)], axis=0)
-    window = _window(first, factor, image.shape)
-    likeness = _likeness(_chroma(image[window]), seen)
-    level = (1.0 + _surroundings(chroma, first, seen)) / 2
-    blob = _largest_blob(likeness > np.clip(level, 0.4, 0.75), image.shape[0] * image.shape[1])
+    seen = np.median(chroma[hue.inside(first)], axis=0)
+    window = hue.window(first, factor, image.shape)
+    likeness = hue.likeness(hue.chroma_of(image[window]), seen)
+    blob = _largest_blob(likeness > hue.half_way(chroma, first, seen), image.shape[0] * image.shape[1])
     if blob is None:
         return None
     match = float(np.clip(likeness[blob].mean(), 0.0, 1.0))
@@ -86,73 +66,21 @@ def find_bag(image: Image, color: tuple[int, int, int]) -> Detection | None:
     return _describe(mask, match)
 
 
-def _chroma(image: Image) -> NDArray[np.float32]:
-    """Saturation vector of each pixel: `(H, W, 3)` -> `(H, W, 2)`; zero where it is too dark to tell."""
-    pixels = image.astype(np.float32)
-    brightness = pixels.max(axis=2, keepdims=True)
-    vectors = cv2.transform(pixels, _CHROMA) / np.maximum(brightness, 1.0)
-    return np.asarray(vectors * (brightness >= _DARK), np.float32)
-
-
-def _likeness(chroma: NDArray[np.float32], reference: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 where the colour is the reference, 0 where it is grey, negative for other hues: `(H, W)`."""
-    along_axis = reference / np.dot(reference, reference)
-    across_axis = np.array([-along_axis[1], along_axis[0]], np.float32)
-    return np.asarray(chroma @ along_axis - _ACROSS_WEIGHT * np.abs(chroma @ across_axis), np.float32)
-
-
-def _inside(blob: Mask) -> Mask:
-    """A blob without its rim, where colours mix; the whole of it where nothing else is left."""
-    inner = cv2.erode(blob.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    return inner if inner.any() else blob
-
-
-def _surroundings(chroma: NDArray[np.float32], blob: Mask, reference: NDArray[np.float32]) -> float:
-    """How like the reference the surroundings of a blob are, typically."""
-    window = _window(blob, 1, blob.shape)
-    around = ~cv2.dilate(blob[window].astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    return float(np.median(_likeness(chroma[window], reference)[around])) if around.any() else 0.0
-
-
-def _window(blob: Mask, factor: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns around a blob, in a picture of `shape` that is `factor` times larger."""
-    u, v, width, height = cv2.boundingRect(blob.astype(np.uint8))
-    pad = max(width, height) // 3 + 2
-    rows = slice(max(v - pad, 0) * factor, min((v + height + pad) * factor, shape[0]))
-    return rows, slice(max(u - pad, 0) * factor, min((u + width + pad) * factor, shape[1]))
-
-
 def _largest_blob(mask: Mask, picture_px: int) -> Mask | None:
     """The largest connected part that could be a bag, by its shape and size in a picture of `picture_px`."""
-    cross = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, cross)
-    clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, disk)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(clean)
-    order = 1 + np.argsort(stats[1:count, cv2.CC_STAT_AREA])[::-1]
-    for label in order:
-        blob = np.asarray(labels == label)
-        area = float(stats[label, cv2.CC_STAT_AREA])
-        if area < _MIN_AREA * picture_px:
-            return None
-        _, (a, b), _ = cv2.minAreaRect(_outline(blob))
+    for blob, area in hue.blobs(mask, _MIN_AREA * picture_px):
+        _, (a, b), _ = cv2.minAreaRect(hue.outline(blob))
         square_enough = max(a, b) <= _MAX_ASPECT * max(min(a, b), 1.0)
         if area <= _MAX_AREA * picture_px and square_enough and area >= _MIN_FILL * a * b:
             return blob
     return None
 
 
-def _outline(blob: Mask) -> NDArray[np.int32]:
-    """The outer contour with the most points: `(N, 1, 2)` pixels."""
-    contours, _ = cv2.findContours(blob.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(max(contours, key=len), np.int32)
-
-
 def _describe(blob: Mask, match: float) -> Detection:
     moments = cv2.moments(blob.astype(np.uint8), binaryImage=True)
     area = moments["m00"]
     center = np.array([moments["m10"] / area, moments["m01"] / area])
-    rectangle = cv2.minAreaRect(_outline(blob))
+    rectangle = cv2.minAreaRect(hue.outline(blob))
     _, (a, b), degrees = rectangle
     fill = min(1.0, area / max((a + 1) * (b + 1), 1.0))
     cut = blob[0].any() or blob[-1].any() or blob[:, 0].any() or blob[:, -1].any()

@@ -2,208 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from baggie.geometry import FloatArray, PlanarPose, ToolPose
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, PlanarPose
 from baggie.sim.bag import BagParameters
-from baggie.sim.cell import PICTURE_SIZE, draw_cell
-from baggie.sim.kinematics import CONTROL_PERIOD_S, QUINTIC_PEAK, Kinematics, quintic
-from baggie.sim.renderer import CameraRenderer, Film
-from baggie.sim.scene import HOME, arm_spec
-from baggie.sim.sensor import Exposure
-from baggie.sim.world import MOVE_FORCE_N, World
-from baggie.types import Image, Intrinsics, Observation
+from baggie.sim.cell import draw_cell
+from baggie.sim.layout import lay_bags
+from baggie.sim.renderer import Film
+from baggie.sim.variety import Scenery, draw_variety
+from baggie.sim.world import World
+from baggie.types import Image
 from baggie.vision.targets import Target
-from baggie.workcell.arm import ArmInfo
+from baggie.workcell.simulated_arm import SimulatedArm
+from baggie.workcell.simulated_camera import SimulatedCamera
 from baggie.workcell.workcell import Workcell, WorkcellSettings
-
-# FR3 joint velocity limits, rad/s (Franka's data sheet), of which motions use at most 80%.
-JOINT_SPEED_LIMITS = 0.8 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
-SETTLED_RAD_S = 0.02
-SETTLE_TIMEOUT_S = 0.12
-FINGER_SPEED_M_S = 0.05  # each; Franka's data sheet
-SQUEEZE_S = 0.4
-FINGER_SETTLE_S = 0.1
-CLEAR_Z_M = 0.1  # above what lies on the table
-PARK = np.array([0.0, -1.1, 0.0, -2.75, 0.0, 1.75, 0.7853])
-
-
-class SimulatedArm:
-    """The FR3 in MuJoCo. Blocking motions advance the world's time."""
-
-    def __init__(self, world: World) -> None:
-        self.info = ArmInfo("simulated FR3", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0)
-        self._world = world
-        self._kinematics = Kinematics(arm_spec().compile(), HOME)
-        self._target = HOME
-
-    def pose(self) -> ToolPose:
-        """Where the tool is now, by forward kinematics of the measured joints."""
-        return self._kinematics.tool_pose(self._world.joints)
-
-    def hand_pose(self) -> FloatArray:
-        """`T_base_hand` `(4, 4)`, by forward kinematics of the measured joints."""
-        return self._kinematics.hand_pose(self._world.joints)
-
-    def lead_to(self, T_base_hand: FloatArray) -> FloatArray:
-        """Put the hand at a pose `(4, 4)` at once, as a person would lead it there; the pose reached."""
-        q = self._kinematics.reach(self._world.joints, T_base_hand)
-        self._target = q
-        self._world.put_joints(q)
-        return self.hand_pose()
-
-    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
-        """Move along a straight line with minimum-jerk timing; returns once at rest."""
-        self._follow(self._kinematics.line(self._target, target), speed_m_s)
-        return self.pose()
-
-    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
-        """Straight down with minimum-jerk timing until the wrist feels `force_n` more than at the start."""
-        start = self._kinematics.tool_pose(self._target)
-        if start.z > z_min:
-            path = self._kinematics.line(self._target, replace(start, z=z_min))
-            tare = self._world.upward_force
-            self._follow(path, speed_m_s, until=lambda: self._world.upward_force - tare > force_n)
-        return self.pose()
-
-    def move_gripper(self, width_m: float) -> float:
-        """Fingers to a width at their usual speed."""
-        if abs(width_m - self._world.finger_width) < 0.001:
-            return self._world.finger_width
-        self._world.set_grip_force(MOVE_FORCE_N)
-        current = self._world.finger_width / 2
-        steps = max(round(abs(width_m / 2 - current) / FINGER_SPEED_M_S / CONTROL_PERIOD_S), 1)
-        for opening in np.linspace(current, width_m / 2, steps + 1)[1:]:
-            self._world.set_finger_opening(opening)
-            self._world.advance(CONTROL_PERIOD_S)
-        self._world.advance(FINGER_SETTLE_S)
-        return self._world.finger_width
-
-    def grasp(self, force_n: float) -> float:
-        """Close, then squeeze with `force_n` a finger; cloth needs a moment to give way."""
-        self._world.set_grip_force(force_n)
-        current = self._world.finger_width / 2
-        for opening in np.arange(current, 0.0, -FINGER_SPEED_M_S * CONTROL_PERIOD_S):
-            self._world.set_finger_opening(opening)
-            self._world.advance(CONTROL_PERIOD_S)
-        self._world.set_finger_opening(0.0)
-        self._world.advance(SQUEEZE_S)
-        return self._world.finger_width
-
-    def gripper_width(self) -> float:
-        """Metres between the fingers now."""
-        return self._world.finger_width
-
-    def park(self) -> ToolPose:
-        """Fold back over the base, out of the camera's view, joint by joint together."""
-        if np.allclose(self._target, PARK):
-            return self.pose()
-        here = self.pose()
-        if here.z < CLEAR_Z_M:
-            self.move_to(replace(here, z=CLEAR_Z_M), 0.5)
-        self._follow(np.linspace(self._target, PARK, 10), self.info.max_speed_m_s)
-        return self.pose()
-
-    def stop(self) -> None:
-        """Hold the joints where they are."""
-        self._command(self._world.joints, np.zeros(7))
-
-    def reset(self) -> None:
-        """Take note that the world put the arm back home."""
-        self._target = HOME
-
-    def _follow(self, path: FloatArray, speed_m_s: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Follow joint positions `(N, 7)` with minimum-jerk timing, until the end or `until` says so.
-
-        Each stretch takes as long as the slowest of its tool speed and its joints allows at full speed;
-        the quintic then eases the whole in and out without exceeding any of them.
-        """
-        clock = np.r_[0.0, np.cumsum(self._shortest_times(path, speed_m_s))]
-        steps = max(int(np.ceil(QUINTIC_PEAK * clock[-1] / CONTROL_PERIOD_S)), 1)
-        moments = clock[-1] * quintic(np.linspace(0.0, 1.0, steps + 1))
-        points = np.column_stack([np.interp(moments, clock, joint) for joint in path.T])
-        velocities = np.gradient(points, CONTROL_PERIOD_S, axis=0)
-        for q, velocity in zip(points[1:], velocities[1:], strict=True):
-            self._command(q, velocity)
-            self._world.advance(CONTROL_PERIOD_S)
-            if until():
-                break
-        self._command(self._target, np.zeros(7))
-        self._settle()
-
-    def _shortest_times(self, path: FloatArray, speed_m_s: float) -> FloatArray:
-        """`(N - 1,)` seconds that each stretch of a joint path `(N, 7)` takes at the highest speed allowed."""
-        poses = [self._kinematics.tool_pose(q) for q in path]
-        tool = [np.linalg.norm(b.xyz - a.xyz) / speed_m_s for a, b in pairwise(poses)]
-        joints = (np.abs(np.diff(path, axis=0)) / JOINT_SPEED_LIMITS).max(axis=1)
-        return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
-
-    def _settle(self) -> None:
-        """Wait until the arm is at rest: a pose read earlier is not where it will be."""
-        deadline = self._world.time + SETTLE_TIMEOUT_S
-        while self._world.time < deadline:
-            self._world.advance(CONTROL_PERIOD_S)
-            if np.abs(self._world.joint_velocities).max() < SETTLED_RAD_S:
-                break
-
-    def _command(self, q: FloatArray, velocity: FloatArray) -> None:
-        self._target = q
-        self._world.set_joints(q, velocity)
-
-
-class SimulatedCamera:
-    """The overhead colour and depth camera, with exposure and light that drift."""
-
-    def __init__(self, world: World) -> None:
-        self.name = f"simulated camera of cell {world.cell.number}"
-        self.size = PICTURE_SIZE
-        self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
-        self._renderer = CameraRenderer(world)
-        self._rng = np.random.default_rng()
-
-    def reseed(self, rng: np.random.Generator) -> None:
-        """Draw exposures and noise from this stream from now on."""
-        self._rng = rng
-
-    def look(self) -> Observation:
-        """A picture of the world as it is now."""
-        return replace(self._renderer.look(Exposure.random(self._rng), self._rng), intrinsics=self.intrinsics)
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        self._renderer.close()
 
 
 class SimulatedWorkcell(Workcell):
-    """A workcell in MuJoCo. `truth`, `goal_corners` and `world` are for evaluation only."""
+    """A workcell in MuJoCo. `truth`, `second_truth`, `obstacles`, `goal_corners` and `world` are for evaluation only.
+
+    In a scenery other than `plain` every reset builds another world, which takes a second or two; a film ends with it.
+    """
 
     def __init__(
-        self, cell: int = 0, settings: WorkcellSettings | None = None, bag: BagParameters | None = None
+        self,
+        cell: int = 0,
+        settings: WorkcellSettings | None = None,
+        bag: BagParameters | None = None,
+        scenery: Scenery = "plain",
     ):
-        self.world = World(draw_cell(cell), bag)
-        settings = settings or WorkcellSettings(name=f"sim cell {cell}", object_color=self.world.bag.color)
+        self.scenery: Scenery = scenery
+        self._plain = draw_cell(cell), bag or BagParameters()
+        self.world = World(*self._plain)
         self._simulated_arm = SimulatedArm(self.world)
         self._simulated_camera = SimulatedCamera(self.world)
+        settings = settings or _describing(self.world.bag, WorkcellSettings(name=f"sim cell {cell}"))
         super().__init__(self._simulated_arm, self._simulated_camera, settings)
         self.reset((0,))
 
     def reset(self, seed: Sequence[int]) -> None:
-        """A new scene, the one these integers name: the bag anywhere in the workspace at any angle, arm parked."""
+        """A new scene, the one these integers name: the bag anywhere in the workspace at any angle, arm parked.
+
+        Where the scenery varies, `settings` describe the bag at hand from now on.
+        """
+        if self.scenery != "plain":
+            self._set_the_scene(seed)
         self._rng = np.random.default_rng(list(seed))
         self._simulated_camera.reseed(self._rng.spawn(1)[0])
         self.show_paddle(False)
         self.lay_card(None)
         self.hide_target()
         self.hold_target(None)
-        self.world.reset(self._random_pose())
+        two = self.second_truth() is not None
+        bag, second = lay_bags(self.settings.workspace, self.obstacles(), two, self._rng)
+        self.world.reset(bag, second)
         self._simulated_arm.reset()
         self.arm.park()
+
+    def _set_the_scene(self, seed: Sequence[int]) -> None:
+        variety = draw_variety(self.scenery, *self._plain, self.settings.workspace, seed)
+        self.world = World(variety.cell, variety.bag, variety.second, variety.distractors)
+        self._simulated_arm.enter(self.world)
+        self._simulated_camera.enter(self.world, variety.exposure)
+        self.settings = _describing(variety.bag, self.settings)
 
     def clock(self) -> float:
         """Seconds of simulated time since the last reset."""
@@ -212,6 +79,14 @@ class SimulatedWorkcell(Workcell):
     def truth(self) -> PlanarPose:
         """The bag's true centre and yaw now."""
         return self.world.bag_pose()
+
+    def second_truth(self) -> PlanarPose | None:
+        """The same of the second bag, which is to stay, where there is one."""
+        return self.world.second_pose()
+
+    def obstacles(self) -> list[PlanarPose]:
+        """Where things stand that a hand or a bag can run into."""
+        return [thing.pose for thing in self.world.distractors if thing.standing]
 
     def goal_corners(self, pose: PlanarPose) -> FloatArray:
         """`(4, 2)` pixels: where the outline of a bag that rests at `pose` truly appears."""
@@ -259,16 +134,27 @@ class SimulatedWorkcell(Workcell):
         return self._simulated_arm.lead_to(T_base_hand)
 
     def bump_camera(self, shift_m: ArrayLike, turn_rad: ArrayLike) -> None:
-        """Knock the camera for good: `shift_m` `(3,)` in the base frame, `turn_rad` `(3,)` about its own axes."""
+        """Knock the camera for good: `shift_m` `(3,)` in the base frame, `turn_rad` `(3,)` about its own axes.
+
+        Raises `BaggieError` in another scenery than `plain`, where nothing stays for good.
+        """
+        self._check_plain()
         self.world.bump_camera(np.asarray(shift_m, float), np.asarray(turn_rad, float))
 
     def bump_table(self, x: float, y: float, yaw: float) -> None:
-        """Knock the table for good: turned about the base frame's z and shifted, with everything that is on it."""
+        """Knock the table for good: turned about the base frame's z and shifted, with everything that is on it.
+
+        Raises `BaggieError` as `bump_camera` does.
+        """
+        self._check_plain()
         self.world.bump_table(PlanarPose(x, y, yaw))
 
     def rescue(self) -> bool:
         """What a person would do: lay the lost bag back on the table."""
-        self.world.put_bag(self._random_pose())
+        second = self.second_truth()
+        in_the_way = [*self.obstacles(), *([second] if second else [])]
+        pose, _ = lay_bags(self.settings.workspace, in_the_way, two=False, rng=self._rng)
+        self.world.put_bag(pose)
         self.world.advance(1.0)
         return True
 
@@ -287,11 +173,21 @@ class SimulatedWorkcell(Workcell):
         """Free the OpenGL context."""
         self._simulated_camera.close()
 
-    def _random_pose(self) -> PlanarPose:
-        x, y = self.settings.workspace.sample(self._rng, margin=0.02)
-        return PlanarPose(float(x), float(y), float(self._rng.uniform(-np.pi, np.pi)))
+    def _check_plain(self) -> None:
+        if self.scenery != "plain":
+            raise BaggieError(
+                f"expected a plain workcell to bump, got the scenery {self.scenery!r}, which every reset builds anew; "
+                "open it with scenery='plain'"
+            )
 
 
-def open_simulated(cell: int = 0, settings: WorkcellSettings | None = None) -> SimulatedWorkcell:
-    """The simulated workcell with this cell number."""
-    return SimulatedWorkcell(cell, settings)
+def _describing(bag: BagParameters, settings: WorkcellSettings) -> WorkcellSettings:
+    """These settings for this bag."""
+    return replace(settings, object_color=bag.color, object_size_m=bag.size_m, object_symmetry=bag.symmetry)
+
+
+def open_simulated(
+    cell: int = 0, settings: WorkcellSettings | None = None, scenery: Scenery = "plain"
+) -> SimulatedWorkcell:
+    """The simulated workcell with this cell number, its scenes as `baggie.sim.variety` says."""
+    return SimulatedWorkcell(cell, settings, scenery=scenery)

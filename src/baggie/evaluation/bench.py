@@ -1,0 +1,89 @@
+"""What an episode needs: a cell whose truth is known, and the policy to try in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.policies.base import Policy
+from baggie.types import Image, Observation, Outcome, Plan
+
+
+class Settings(Protocol):
+    """What an episode must know of a workcell's settings."""
+
+    @property
+    def workspace(self) -> Rectangle:
+        """Where bags may lie, robot base frame, metres."""
+        ...
+
+    @property
+    def object_size_m(self) -> tuple[float, float, float]:
+        """Length, width and resting height of the bag in the scene."""
+        ...
+
+    @property
+    def object_symmetry(self) -> int:
+        """How many times a turn it looks the same; 0 for a round one."""
+        ...
+
+
+class EvaluationCell(Protocol):
+    """A workcell whose scenes can be set and whose truth is known: a simulated one."""
+
+    @property
+    def settings(self) -> Settings:
+        """What it is; in some sceneries another bag in every scene."""
+        ...
+
+    def reset(self, seed: Sequence[int]) -> None:
+        """A new scene, drawn from the random stream with this name; no card lies there."""
+        ...
+
+    def look(self) -> Observation:
+        """A picture with the arm out of view."""
+        ...
+
+    def carry_out(self, plan: Plan) -> Outcome:
+        """Pick and place; raises `UnsureError`, `LimitError` and `ReachError`."""
+        ...
+
+    def truth(self) -> PlanarPose:
+        """Where the bag is."""
+        ...
+
+    def second_truth(self) -> PlanarPose | None:
+        """Where a bag is that is to stay, if there is one."""
+        ...
+
+    def obstacles(self) -> list[PlanarPose]:
+        """Where things stand that no bag may be put on."""
+        ...
+
+    def goal_corners(self, pose: PlanarPose) -> FloatArray:
+        """`(4, 2)` pixels: the outline of a bag resting there, in the true camera."""
+        ...
+
+    def lay_card(self, pose: PlanarPose | None) -> None:
+        """Lay the goal card on the table, or take it away."""
+        ...
+
+    def film(self, size: tuple[int, int] = ..., fps: int = ...) -> AbstractContextManager[list[Image]]:
+        """Frames of the arm at work while open."""
+        ...
+
+
+@dataclass
+class Bench:
+    """A cell and the policy to try in it."""
+
+    cell: EvaluationCell
+    policy: Policy
+    image_to_robot: ImageToRobot | None = None
+    """A map of this cell that knows more than one height: with it a card's corners are raised to the bag's."""
+    goal: PlanarPose = field(init=False)
+    """Where the bag is to go in this episode; only an oracle may ask."""

@@ -1,0 +1,89 @@
+"""An episode's goal: where the bag is to go, and how the policy is told, all drawn from the episode's own stream."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from baggie import seeds
+from baggie.calibration.image_to_robot.raise_card import raise_card
+from baggie.collect.places import random_place
+from baggie.errors import BaggieError
+from baggie.evaluation.bench import Bench, EvaluationCell
+from baggie.evaluation.options import GoalKind
+from baggie.geometry import PlanarPose
+from baggie.types import Goal, Observation
+from baggie.vision.goal_card import find_card
+
+CLEARANCE_M = 0.16
+"""Between a goal and what stands there or a bag that is to stay: two bags lie side by side, not on each other."""
+CLICK_M = 0.02
+"""How far from the middle of a bag a person may click on it."""
+_GOALS = 0x60A1
+"""Keeps the stream of an episode's goal apart from any the cell makes of its scene's."""
+_CLICKS = 0xC11C
+_TRIES = 100
+
+
+class NoCardError(BaggieError):
+    """The goal card is not to be seen."""
+
+
+def draw_goal(cell: EvaluationCell, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
+    """Where the bag is to go: as the collector draws places, uniform in the workspace, at least 20 cm from the bag.
+
+    Square to the workspace if `virtual`, else at any angle; at least 16 cm from obstacles and from a second bag. Raises
+    `BaggieError` where there is no such place.
+    """
+    rng = seeds.generator(*stream, _GOALS)
+    second = cell.second_truth()
+    occupied = [*cell.obstacles(), *([second] if second else [])]
+    for _ in range(_TRIES):
+        pose = random_place(cell.settings.workspace, cell.truth(), rng)
+        if all(pose.distance(other) >= CLEARANCE_M for other in occupied):
+            break
+    else:
+        raise BaggieError(
+            f"expected room for a goal {CLEARANCE_M * 100:.0f} cm from each of {len(occupied)} things on the table, "
+            f"found none in {_TRIES} tries; clear the workspace ({cell.settings.workspace})"
+        )
+    if kind == "virtual":
+        return pose
+    # One turn of the bag that looks like no turn: what is further away looks the same, and the wrist need not go there.
+    half = math.pi / max(cell.settings.object_symmetry, 1)
+    return replace(pose, yaw=float(rng.uniform(-half, half)))
+
+
+def goal_in(bench: Bench, kind: GoalKind, pose: PlanarPose, seen: Observation, stream: Sequence[int]) -> Goal:
+    """The goal as the policy is told it in the picture `seen`, with a click on the bag where there are two.
+
+    A card's corners are those found in the picture, raised to the bag's height where the bench has a map for that.
+    Raises `NoCardError` where it is not found.
+    """
+    cell = bench.cell
+    object_at = _click(cell, stream) if cell.second_truth() else None
+    if kind != "card":
+        return Goal(cell.goal_corners(pose), object_at=object_at)
+    card = find_card(seen.color)
+    if card is None:
+        raise NoCardError(
+            "expected the goal card in the picture, found none; lay it where the camera sees all of it"
+        )
+    corners = card.corners
+    if bench.image_to_robot is not None:
+        to_robot = bench.image_to_robot.for_size(seen.size)
+        corners = raise_card(corners, to_robot, cell.settings.object_size_m[2] / 2)
+    return Goal(corners, "card", card.color, object_at)
+
+
+def _click(cell: EvaluationCell, stream: Sequence[int]) -> tuple[float, float]:
+    """A pixel on the bag to be moved, uniform within 2 cm of its middle."""
+    rng = seeds.generator(*stream, _CLICKS)
+    radius, angle = CLICK_M * math.sqrt(rng.random()), rng.uniform(-math.pi, math.pi)
+    bag = cell.truth()
+    there = PlanarPose(bag.x + radius * math.cos(angle), bag.y + radius * math.sin(angle))
+    u, v = np.asarray(cell.goal_corners(there)).mean(axis=0)
+    return float(u), float(v)

@@ -1,0 +1,99 @@
+"""What the report says of the closed loop: videos, distances, plans, failures, the worst episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from baggie.evaluation import report_figures as figures
+from baggie.evaluation.report_data import Evaluation
+from baggie.evaluation.report_values import Content, data_uri, data_uris, figure, percent
+
+WORST = 10
+MAX_VIDEOS = 2
+_RAISED = {
+    (True, True): "raised to a bag's height with the cell's calibration",
+    (False, False): "taken as seen, some millimetres lower than a bag's outline",
+    (False, True): "raised to a bag's height where a calibration was at hand, else taken as seen",
+}
+
+
+def videos(evaluations: Sequence[Evaluation], main: str) -> list[Content]:
+    """Two at most, of the policy the report is about where there are any."""
+    found = [(e, path) for e in evaluations if e.policy == main for path in e.videos()]
+    found = found or [(e, path) for e in evaluations for path in e.videos()]
+    shown = []
+    for evaluation, path in found[:MAX_VIDEOS]:
+        number = int(path.stem.split("-")[1])
+        distance = next((e.distance_cm for e in evaluation.episodes if e.episode == number), None)
+        end = "" if distance is None else f": ends {distance:.1f} cm from the goal"
+        shown.append({"uri": data_uri(path), "caption": f"{evaluation.policy}, episode {number}{end}"})
+    return shown
+
+
+def closed_loop(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
+    """Every variable of the section; None without an evaluation."""
+    if not evaluations:
+        return None
+    first = next((e for e in evaluations if e.policy == main), evaluations[0])
+    radius = first.metrics["radius_cm"]
+    about = [
+        "Look, plan, move, check. Every scene is new, and the goal at least 20 cm from the bag. The policy looks "
+        "again only when the gripper noticed that it missed."
+    ]
+    causes = dict.fromkeys(cause for e in evaluations for cause in e.metrics["failures"])
+    distances = {e.policy: e.distances_cm() for e in evaluations}
+    offsets = {e.policy: e.offsets_cm() for e in evaluations}
+    raised = {e.metrics["card_raised"] for e in evaluations if "card_raised" in e.metrics}
+    if raised:
+        about.append(f"A real card lies on the table; its corners were {_RAISED[min(raised), max(raised)]}.")
+    worst = sorted(first.episodes, key=lambda e: e.distance_cm, reverse=True)[:WORST]
+    cases = []
+    for episode in worst:
+        paths = [first.picture(episode, kind) for kind in ("before", "after")]
+        trouble = f" · {episode.message or episode.failure}" if episode.failure else ""
+        caption = f"{episode.distance_cm:.1f} cm from the goal{trouble}"
+        cases.append({"number": episode.episode, "pictures": data_uris(paths), "caption": caption})
+    failures = [
+        {"cause": c, "counts": [e.metrics["failures"].get(c, 0) for e in evaluations]} for c in causes
+    ]
+    totals = [f"{sum(e.metrics['failures'].values())} of {len(e.episodes)}" for e in evaluations]
+    return {
+        "main": first.policy,
+        "policies": list(distances),
+        "about": " ".join(about),
+        "figures": [
+            figure(
+                "How near the goal",
+                figures.success_curves(distances, colors, radius),
+                "Shaded: 95% Wilson intervals. Dashed: what counts as success.",
+            ),
+            figure(
+                "Where the bags came to lie",
+                figures.landings(offsets, colors, radius),
+                "Around their goals, seen from above; the robot looks up the page.",
+            ),
+        ],
+        "plans": _plans(evaluations),
+        "failures": [*failures, {"cause": "all", "counts": totals}],
+        "cases": cases,
+    }
+
+
+def _plans(evaluations: Sequence[Evaluation]) -> Content:
+    """How good plans were and how true to the radii they state, a row for each evaluation; no empty columns."""
+    columns = ["pick error", "place error", "picks inside radius", "places inside radius", "asked for help"]
+    rows = []
+    for evaluation in evaluations:
+        metrics = evaluation.metrics
+        stated, helped = metrics.get("confidence", {}), metrics["asked_for_help"]
+        errors = [metrics.get(f"{what}_error_cm") for what in ("pick", "place")]
+        rates = [stated.get(f"{what}_within") for what in ("pick", "place")]
+        cells = [
+            *(f"{error['mean']:.2f} cm" if error else "" for error in errors),
+            *(f"{percent(rate)} of {rate['n']}" if rate else "" for rate in rates),
+            f"{round(helped['rate'] * helped['n'])} of {helped['n']}" if helped["rate"] else "",
+        ]
+        rows.append({"name": evaluation.policy, "cells": cells})
+    filled = [column for column in range(len(columns)) if any(row["cells"][column] for row in rows)]
+    rows = [{**row, "cells": [row["cells"][column] for column in filled]} for row in rows]
+    return {"columns": [columns[column] for column in filled], "rows": rows}

@@ -1,0 +1,59 @@
+"""The simulated cell and the policy that `baggie evaluate` names, put together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.evaluation.bench import Bench
+from baggie.evaluation.card_map import card_map
+from baggie.evaluation.options import EvaluateOptions
+from baggie.evaluation.subjects import in_its_cell, open_policy
+from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy
+from baggie.types import Goal, Observation, Plan
+from baggie.vision.picture_files import read_picture
+from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
+from baggie.workcell.watch import REFERENCE_FILE, Watch
+
+
+class ColorOfTheBag(Policy):
+    """The colour mask, told the colour of the bag in each scene: what a person writes into the workcell's file."""
+
+    name = ColorMaskPolicy.name
+
+    def __init__(self, policy: ColorMaskPolicy, cell: SimulatedWorkcell) -> None:
+        self.policy, self.cell = policy, cell
+
+    def plan(self, observation: Observation, goal: Goal) -> Plan:
+        """What the colour mask plans for an object of the colour in the cell's settings."""
+        self.policy.object_color = self.cell.settings.object_color
+        return self.policy.plan(observation, goal)
+
+
+def open_bench(options: EvaluateOptions) -> Bench:
+    """The cell and the policy, and for `--goal card` the map that raises the card's corners, where there is one."""
+    cell = open_simulated(options.cell, scenery=options.scenery)
+    reference = _reference(options)
+    cell.watch = Watch(read_picture(reference)) if reference else None
+    map_file = card_map(options)
+    to_robot = ImageToRobot.load(map_file) if map_file else None
+    if options.policy == OraclePolicy.name:
+        bench = Bench(cell, OraclePolicy(cell.truth, lambda: bench.goal), to_robot)
+        return bench
+    policy = open_policy(options.policy, options.calibration or options.out)
+    if isinstance(policy, ColorMaskPolicy):
+        policy = ColorOfTheBag(policy, cell)
+    return Bench(cell, policy, to_robot)
+
+
+def _reference(options: EvaluateOptions) -> Path | None:
+    """What the camera saw when the policy's cell was calibrated, if that is known and it is this cell, as it was."""
+    if options.scenery != "plain":
+        return None  # another table or lamp is no bump
+    folder = Path(options.policy)
+    if options.policy == ColorMaskPolicy.name:
+        folder = (options.calibration or options.out) / CALIBRATION_FOLDER
+    elif not in_its_cell(options.policy, options.cell):
+        return None
+    return folder / REFERENCE_FILE if (folder / REFERENCE_FILE).exists() else None

@@ -1,0 +1,134 @@
+"""Policies that `baggie export` wrote: they plan as they were trained to, and need onnxruntime in place of PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.errors import DataError
+from baggie.policies import checkpoint, keypoint_plan, regression_plan
+from baggie.policies.base import Policy
+from baggie.policies.keypoint_plan import Float32, GoalInput, Reading
+from baggie.policies.view import View
+from baggie.types import Goal, Observation, Plan
+
+
+class Graph:
+    """A network as a file, run by onnxruntime on the CPU, with as many threads as OpenCV has when it is loaded.
+
+    `cv2.setNumThreads` so decides for the whole of a decision.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Load `path`. Raises `DataError` when it is damaged, or onnxruntime is not installed."""
+        try:
+            import onnxruntime  # noqa: PLC0415 -- an extra
+        except ModuleNotFoundError:
+            raise DataError(
+                f'{path} needs onnxruntime, which is not installed here: pip install "baggie[deploy]"'
+            ) from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = max(cv2.getNumThreads(), 1)
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(
+                path.read_bytes(), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime has a class of its own for every way to be damaged
+            raise DataError(
+                f"{path} cannot be read ({type(error).__name__}): it is cut off or damaged; export the run again"
+            ) from None
+        self.inputs: Mapping[str, Sequence[int | str]] = {
+            node.name: tuple(node.shape) for node in self._session.get_inputs()
+        }
+        """Their shapes by name; a side of any length has a name in place of its length."""
+
+    def run(self, outputs: Sequence[str], inputs: Mapping[str, NDArray[Any]]) -> list[Float32]:
+        """These outputs, in this order."""
+        given = {name: np.ascontiguousarray(array) for name, array in inputs.items()}
+        return [np.asarray(part, np.float32) for part in self._session.run(list(outputs), given)]
+
+
+class ExportedPolicy(Policy):
+    """What both kinds share: it belongs to one cell, and to pictures of one shape."""
+
+    def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
+        """`config`: the content of `config.yaml`. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        self.graph = graph
+        width, height = config["picture_size"]
+        self.picture_size = (int(width), int(height))
+        self.cell = int(config["cell"])
+        self.name = str(config["policy"])
+
+
+class ExportedKeypoint(ExportedPolicy):
+    """`keypoint`; see `keypoint_plan`."""
+
+    def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
+        super().__init__(graph, config)
+        self.view = View.of(config["model"]["view"], self.picture_size)
+        self.goal_input = GoalInput.of(config["model"]["goal"])
+        width, height = self.view.size
+        _check(graph, (1, self.goal_input.channels, height, width))
+
+    def plan(self, observation: Observation, goal: Goal) -> Plan:
+        """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
+        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, goal)
+
+    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
+        """Run the network; see `keypoint_plan.Read`."""
+        return Reading(*self.graph.run(Reading._fields, {"images": images, "near": near, "corners": corners}))
+
+
+class ExportedRegression(ExportedPolicy):
+    """`regression`; see `regression_plan`."""
+
+    def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
+        super().__init__(graph, config)
+        self.goal_input = regression_plan.goal_input(config["model"])
+        _check(graph, (1, 3, regression_plan.SIDE, regression_plan.SIDE))
+
+    def plan(self, observation: Observation, goal: Goal) -> Plan:
+        """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
+        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, goal)
+
+    def read(self, images: NDArray[np.uint8]) -> Float32:
+        """Run the network; see `regression_plan.Read`."""
+        return self.graph.run(["xy"], {"images": images})[0]
+
+
+EXPORTED: Mapping[str, type[ExportedPolicy]] = {
+    "keypoint": ExportedKeypoint,
+    "regression": ExportedRegression,
+}
+"""By the name in `config.yaml`."""
+
+
+def load_exported(folder: Path, device: str = "cpu") -> ExportedPolicy:
+    """The exported policy in a folder.
+
+    Raises `DataError` when a file is missing, damaged, or of another policy, onnxruntime is not installed, or the
+    device is not the CPU.
+    """
+    if device != "cpu":
+        raise DataError(
+            f"an exported policy runs on the CPU, but {device} was asked for: load the training run there"
+        )
+    config = checkpoint.read_config(folder)
+    graph = Graph(folder / checkpoint.GRAPH)
+    try:
+        return EXPORTED[config["policy"]](graph, config)
+    except (KeyError, TypeError, ValueError):
+        raise DataError(
+            f"{folder / checkpoint.CONFIG} and {checkpoint.GRAPH} do not belong together: take both from one export"
+        ) from None
+
+
+def _check(graph: Graph, shape: tuple[int, ...]) -> None:
+    if graph.inputs.get("images") != shape:
+        raise ValueError(f"expected images of {shape}, got inputs {graph.inputs}")

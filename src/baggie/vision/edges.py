@@ -1,0 +1,119 @@
+"""The straight sides of an evenly coloured quadrilateral, to a small part of a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.geometry import FloatArray
+from baggie.types import Image
+
+_POINTS = 48
+"""On each side, at which the way across it is looked at."""
+_ENDS = 0.08
+"""Of a side at each end that is left out: corners are rounded by blur."""
+_STEP = 0.5
+"""Pixels between samples across an edge."""
+_ROUGH, _FINE_PX = 0.14, 6.0
+"""How far to look on both sides of an edge: first this share of the shortest side, then this many pixels."""
+_LEAST_CONTRAST = 12.0
+"""Grey levels between card and surroundings (the norm over R, G and B) for an edge to count."""
+_STRAIGHT_PX = 1.0
+"""From the line, for a point to lie on it: without anti-aliasing an edge is a staircase of whole pixels."""
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Four sides found in a picture."""
+
+    corners: FloatArray
+    """`(4, 2)` pixels (u, v), where neighbouring sides meet."""
+    straight: FloatArray
+    """`(4,)`, the share of each side's points that lie on a straight line."""
+
+
+def refine_sides(image: Image, corners: FloatArray, color: FloatArray) -> Sides | None:
+    """The sides near those of a rough quadrilateral `corners` `(4, 2)` whose inside has the RGB `color` `(3,)`.
+
+    None where a side is not to be seen.
+    """
+    picture = image.astype(np.float32)
+    shortest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min())
+    straight = np.zeros(4)
+    for reach in (max(_ROUGH * shortest, _FINE_PX), _FINE_PX, _FINE_PX):
+        lines = np.zeros((4, 3))
+        for side in range(4):
+            start, end = corners[side], corners[(side + 1) % 4]
+            across = np.arange(-reach, reach + _STEP / 2, _STEP)[:, None] * _outwards(
+                start, end, corners.mean(axis=0)
+            )
+            points = _edge_points(picture, _along(start, end), across, color if reach > _FINE_PX else None)
+            fitted = _line(points, _STRAIGHT_PX + 0.02 * reach)
+            if fitted is None:
+                return None
+            lines[side], on_it = fitted
+            straight[side] = on_it / _POINTS
+        met = np.cross(np.roll(lines, 1, axis=0), lines)
+        if np.abs(met[:, 2]).min() < 1e-9:
+            return None
+        corners = met[:, :2] / met[:, 2:]
+    return Sides(corners, straight)
+
+
+def _outwards(start: FloatArray, end: FloatArray, middle: FloatArray) -> FloatArray:
+    """The unit vector `(2,)` across the side from `start` to `end` that leads away from `middle`."""
+    along = end - start
+    normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    return np.asarray(-normal if normal @ (start - middle) < 0 else normal)
+
+
+def _along(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Points of a side at which to look across it: `(48, 2)` pixels."""
+    return start + np.linspace(_ENDS, 1 - _ENDS, _POINTS)[:, None] * (end - start)
+
+
+def _edge_points(
+    picture: NDArray[np.float32], places: FloatArray, across: FloatArray, color: FloatArray | None
+) -> FloatArray:
+    """Where the colour turns from inside to outside on the ways `across` `(K, 2)`, from inside, at `places` `(N, 2)`.
+
+    `(M, 2)` pixels, M at most N. Without the inside's `color` it is taken from each way's own beginning, right in any
+    shade.
+    """
+    at = (places[:, None] + across).astype(np.float32)
+    seen = cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    ends = max(3, len(across) // 4)
+    outer = np.median(seen[:, -ends:], axis=1)
+    inner = np.median(seen[:, :ends], axis=1) if color is None else np.broadcast_to(color, outer.shape)
+    way = inner - outer
+    contrast = np.linalg.norm(way, axis=1)
+    # 1 inside, 0 outside, and linear in the share of a pixel that either covers.
+    share = ((seen - outer[:, None]) * way[:, None]).sum(axis=2) / np.maximum(contrast, 1e-6)[:, None] ** 2
+    below = share < 0.5
+    last = below.argmax(axis=1)  # the first sample outside, counted from inside
+    good = (contrast >= _LEAST_CONTRAST) & below.any(axis=1) & (last > 0)
+    rows, last = np.flatnonzero(good), last[good]
+    before, after = share[rows, last - 1], share[rows, last]
+    fraction = ((before - 0.5) / (before - after))[:, None]
+    return np.asarray(places[rows] + across[last - 1] + fraction * (across[last] - across[last - 1]), float)
+
+
+def _line(points: FloatArray, tolerance: float) -> tuple[FloatArray, int] | None:
+    """The line `(3,)`, a u + b v + c = 0, that most points lie on, and how many do; None for too few points."""
+    if len(points) < 4:
+        return None
+    first, second = np.triu_indices(len(points), k=max(len(points) // 6, 1))
+    along = points[second] - points[first]
+    normals = np.column_stack([-along[:, 1], along[:, 0]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    away = np.abs(points @ normals.T - (points[first] * normals).sum(axis=1))  # (points, pairs)
+    best = int(np.minimum(away, tolerance).sum(axis=0).argmin())
+    near = points[away[:, best] <= tolerance]
+    if len(near) < 4:
+        return None
+    middle = near.mean(axis=0)
+    _, _, axes = np.linalg.svd(near - middle)
+    return np.array([*axes[1], -axes[1] @ middle]), len(near)

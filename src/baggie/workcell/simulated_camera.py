@@ -1,0 +1,44 @@
+"""The simulated overhead camera, as a workcell has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from baggie.sim.cell import PICTURE_SIZE
+from baggie.sim.renderer import CameraRenderer
+from baggie.sim.sensor import Exposure
+from baggie.sim.world import World
+from baggie.types import Intrinsics, Observation
+
+
+class SimulatedCamera:
+    """The overhead colour and depth camera, with exposure and light that drift."""
+
+    def __init__(self, world: World) -> None:
+        self.name = f"simulated camera of cell {world.cell.number}"
+        self.size = PICTURE_SIZE
+        self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
+        self._renderer = CameraRenderer(world)
+        self._usual = Exposure()
+        self._rng = np.random.default_rng()
+
+    def enter(self, world: World, usual: Exposure) -> None:
+        """Look into another world from now on, with exposures that drift about `usual`."""
+        self._renderer.close()
+        self._renderer = CameraRenderer(world)
+        self._usual = usual
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw exposures and noise from this stream from now on."""
+        self._rng = rng
+
+    def look(self) -> Observation:
+        """A picture of the world as it is now."""
+        exposure = self._usual.times(Exposure.random(self._rng))
+        return replace(self._renderer.look(exposure, self._rng), intrinsics=self.intrinsics)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
