@@ -2,14 +2,17 @@
 
     python benchmarks/decision.py
 
-The networks are untrained: their weights make no difference to the time. One thread, then two.
+The networks are untrained: their weights make no difference to the time. One thread, then two; learned policies run by
+PyTorch, and exported, by onnxruntime.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -21,7 +24,8 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.annotation import goal_of
 from baggie.learning.keypoint import KeypointRecipe
-from baggie.policies import ColorMaskPolicy, Policy, RegressionPolicy
+from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy, RegressionPolicy, load_policy
+from baggie.policies.export import export_policy
 from baggie.policies.regression import RegressionNet
 from synthetic import RED, make_attempt, to_pixels
 
@@ -34,26 +38,40 @@ def main() -> None:
     keypoint = KeypointRecipe(recorded).policy
     with torch.no_grad():
         keypoint.network.heat.weight.mul_(300)  # untrained, but as sure as a trained one, or it refuses
-    policies: list[Policy] = [
-        keypoint,
-        RegressionPolicy(RegressionNet(), (640, 360), 0, "solid", (0, 200, 0)),
-        color_mask(),
-    ]
+    regression = RegressionPolicy(RegressionNet(), (640, 360), 0, "solid", (0, 200, 0))
     attempt = make_attempt(0, np.random.default_rng(0), SIZE, depth=False)
     goal = goal_of(attempt)
     print(f"pictures of {SIZE[0]} x {SIZE[1]}; {ROUNDS} rounds, interleaved; ms a decision")
-    print(f"{'policy':<14}{'threads':>8}{'median':>8}{'fastest':>9}{'slowest':>9}")
-    for threads in (1, 2):
-        torch.set_num_threads(threads)
-        cv2.setNumThreads(threads)
-        times = np.zeros((ROUNDS, len(policies)))
-        for turn in range(-2, ROUNDS):  # the first ones warm up
-            for column, policy in enumerate(policies):
-                start = time.perf_counter()
-                policy.plan(attempt.before, goal)
-                times[max(turn, 0), column] = 1000 * (time.perf_counter() - start)
-        for policy, ms in zip(policies, times.T, strict=True):
-            print(f"{policy.name:<14}{threads:>8}{np.median(ms):>8.1f}{ms.min():>9.1f}{ms.max():>9.1f}")
+    print(
+        f"{'policy':<14}{'engine':<13}{'threads':>8}{'median':>8}{'quartiles':>14}{'fastest':>9}{'slowest':>9}"
+    )
+    with TemporaryDirectory() as folder:
+        for policy in (keypoint, regression):
+            export_policy(policy, Path(folder, policy.name))
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            cv2.setNumThreads(threads)
+            contenders = engines([keypoint, regression], Path(folder))  # loaded anew, with as many threads
+            times = np.zeros((ROUNDS, len(contenders)))
+            for turn in range(-2, ROUNDS):  # the first ones warm up
+                for column, (_, policy) in enumerate(contenders):
+                    start = time.perf_counter()
+                    policy.plan(attempt.before, goal)
+                    times[max(turn, 0), column] = 1000 * (time.perf_counter() - start)
+            for (engine, policy), ms in zip(contenders, times.T, strict=True):
+                low, median, high = np.percentile(ms, (25, 50, 75))
+                print(
+                    f"{policy.name:<14}{engine:<13}{threads:>8}{median:>8.1f}{low:>7.1f}{high:>7.1f}"
+                    f"{ms.min():>9.1f}{ms.max():>9.1f}"
+                )
+
+
+def engines(trained: Sequence[LearnedPolicy], exported: Path) -> list[tuple[str, Policy]]:
+    """Every policy with what runs it."""
+    found: list[tuple[str, Policy]] = [("opencv", color_mask())]
+    for policy in trained:
+        found += [("pytorch", policy), ("onnxruntime", load_policy(exported / policy.name))]
+    return found
 
 
 def color_mask() -> ColorMaskPolicy:

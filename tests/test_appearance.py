@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from baggie.data.appearance import object_mask, random_look
+from baggie.data.appearance import object_mask, random_look, turned, without_object
+from baggie.vision.color_mask import find_bag
 from synthetic import make_attempt
 
 ATTEMPT = make_attempt(3, np.random.default_rng(3), (320, 180), depth=False)
@@ -24,6 +25,31 @@ def test_a_gray_object_is_taken_for_its_box():
     mask = object_mask(gray, ATTEMPT.box_before)
     v, u = np.nonzero(mask)
     assert [u.mean(), v.mean()] == pytest.approx(ATTEMPT.box_before.mean(axis=0), abs=1.0)
+
+
+def test_a_table_without_the_object_has_nothing_red():
+    empty = without_object(PICTURE, MASK).astype(int)
+    assert (empty[..., 0] - empty[..., 1]).max() < 40
+    beside = MASK == 0
+    assert (np.abs(empty - PICTURE)[beside].mean(axis=0) < 1).all()
+
+
+@pytest.mark.parametrize("angle", [-0.6, 0.4, 1.2])
+def test_an_object_is_turned_from_u_towards_v_about_its_middle(angle):
+    v, u = np.nonzero(MASK > 0.5)
+    middle = np.array([u.mean(), v.mean()])
+    corner = ATTEMPT.box_before[np.linalg.norm(ATTEMPT.box_before - middle, axis=1).argmax()] - middle
+    picture, mask = turned(PICTURE, without_object(PICTURE, MASK), MASK, middle, angle)
+    v, u = np.nonzero(mask > 0.5)
+    assert [u.mean(), v.mean()] == pytest.approx(middle, abs=0.6)
+    c, s = np.cos(angle), np.sin(angle)
+    there = np.round(middle + 0.75 * np.array([[c, -s], [s, c]]) @ corner).astype(int)
+    red = picture[there[1], there[0]].astype(int)
+    assert red[0] - red[1] > 60
+    before, after = find_bag(PICTURE, (200, 40, 40)), find_bag(picture, (200, 40, 40))
+    assert before is not None
+    assert after is not None
+    assert after.area_px == pytest.approx(before.area_px, rel=0.12), "nothing is left where it was"
 
 
 def test_looks_differ_and_follow_from_their_seed():

@@ -23,6 +23,7 @@ from baggie.policies.keypoint_net import KeypointNet
 from baggie.policies.keypoint_plan import GoalInput, Reading
 from baggie.policies.regression import RegressionNet
 from baggie.policies.view import View
+from baggie.vision.picture_files import read_picture, write_picture
 from policy_contract import check_policy
 from synthetic import make_attempt
 
@@ -32,26 +33,38 @@ ROOT = Path(__file__).parents[1]
 TOLERANCE = 1e-4
 
 
-def shaken(network: nn.Module, seed: int) -> nn.Module:
-    """Batch norm as after a training, so that forgetting a part of it shows."""
-    generator = torch.Generator().manual_seed(seed)
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """Two engines with two threads each wait for each other on two cores."""
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    yield
+    torch.set_num_threads(before[0])
+    cv2.setNumThreads(before[1])
+
+
+def shaken(network: nn.Module, *inputs: torch.Tensor) -> nn.Module:
+    """Batch norm as after a training: statistics of pictures, and no two channels treated alike."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
-            module.running_mean.normal_(0, 0.1, generator=generator)
-            module.running_var.uniform_(0.5, 2, generator=generator)
-            module.weight.data.uniform_(0.5, 1.5, generator=generator)
-            module.bias.data.normal_(0, 0.1, generator=generator)
-    return network
+            module.momentum = 1.0
+            nn.init.uniform_(module.weight, 0.5, 1.5)
+            nn.init.normal_(module.bias, 0, 0.1)
+    with torch.no_grad():
+        network.train()(*inputs)
+    return network.eval()
 
 
 def make_keypoint(backbone="small", goal_input=None, seed=0) -> KeypointPolicy:
     """Untrained, but as sure as a trained one, with a lens, a tilted camera and radii."""
     torch.manual_seed(seed)
     goal_input = goal_input or GoalInput()
-    network = shaken(KeypointNet(8, goal_input.channels, backbone), seed)
+    pictures = [random_inputs(np.random.default_rng(n), goal_input.channels)[0] for n in range(8)]
+    network = KeypointNet(8, goal_input.channels, backbone)
+    shaken(network, torch.from_numpy(np.concatenate(pictures)), torch.eye(3).expand(8, 3, 3))
     with torch.no_grad():
         network.heat.weight.mul_(100)
-        network.phase[1].weight.mul_(5)
         network.radius.times_spread.copy_(torch.tensor([2.0, 3.0]))
         plane = torch.tensor([0.02, 0.3, 0.5, 0.28, -0.03, 0.01, 0.02, 0.1])
         network.to_robot.homography.copy_(plane)
@@ -68,15 +81,21 @@ def keypoint():
 @pytest.fixture(scope="module")
 def regression():
     torch.manual_seed(0)
-    return RegressionPolicy(shaken(RegressionNet(), 0), SIZE, 3, "outline", (0, 0, 255))
+    network = shaken(RegressionNet(), torch.randint(0, 256, (2, 3, 224, 224), dtype=torch.uint8))
+    return RegressionPolicy(network, SIZE, 3, "outline", (0, 0, 255))
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory, keypoint, regression):
+def policies(keypoint, regression):
+    return {policy.name: policy for policy in (keypoint, regression)}
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory, policies):
     """Where both are exported to, by name."""
-    folders = {policy.name: tmp_path_factory.mktemp(policy.name) for policy in (keypoint, regression)}
-    for policy in (keypoint, regression):
-        export.export_policy(policy, folders[policy.name])
+    folders = {name: tmp_path_factory.mktemp(name) for name in policies}
+    for name, policy in policies.items():
+        export.export_policy(policy, folders[name])
     return folders
 
 
@@ -135,10 +154,10 @@ def test_an_exported_regression_reads_as_pytorch_does(regression, exported):
         assert np.abs(regression.read(images) - loaded.read(images)).max() <= TOLERANCE
 
 
-def test_exported_policies_keep_the_contract_and_plan_the_same(attempt, keypoint, regression, exported):
+def test_exported_policies_keep_the_contract_and_plan_the_same(attempt, policies, exported):
     goal = goal_of(attempt)
     pointed = replace(goal, object_at=tuple(attempt.box_before.mean(axis=0)))
-    for policy in (keypoint, regression):
+    for policy in policies.values():
         loaded = Policy.from_pretrained(exported[policy.name])
         assert (loaded.name, loaded.cell, loaded.picture_size) == (policy.name, 3, SIZE)
         check_policy(loaded, attempt.before, goal)
@@ -158,7 +177,7 @@ def test_what_is_off_is_not_written(tmp_path, keypoint, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-def test_differences_find_frozen_numbers(keypoint, regression, exported):
+def test_differences_find_another_network(keypoint, exported):
     """The comparison that guards an export notices a network that is another one."""
     other = export.Exportable.of(make_keypoint(seed=1))
     graph = load_policy(exported["keypoint"]).graph
@@ -168,7 +187,7 @@ def test_differences_find_frozen_numbers(keypoint, regression, exported):
 
 WITHOUT_TORCH = """
 import sys
-for name in ("torch", "safetensors", "pyarrow", "mujoco", "scipy", "matplotlib", "accelerate"):
+for name in ("torch", "safetensors", "pyarrow", "mujoco", "matplotlib", "accelerate"):
     sys.modules[name] = None  # importing it fails
 import numpy as np
 from baggie import Policy
@@ -180,14 +199,13 @@ print(policy.plan(Observation(given["color"]), Goal(given["corners"])).action.to
 
 
 @pytest.mark.parametrize("name", ["keypoint", "regression"])
-def test_an_exported_policy_needs_no_pytorch(tmp_path, attempt, exported, keypoint, regression, name):
+def test_an_exported_policy_needs_no_pytorch(tmp_path, attempt, exported, policies, name):
     goal = goal_of(attempt)
     np.savez(tmp_path / "given.npz", color=attempt.before.color, corners=goal.corners)
     command = [sys.executable, "-c", WITHOUT_TORCH, str(exported[name]), str(tmp_path / "given.npz")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    policy = {"keypoint": keypoint, "regression": regression}[name]
-    expected = policy.plan(attempt.before, goal).action.to_array()
+    expected = policies[name].plan(attempt.before, goal).action.to_array()
     assert np.abs(expected - json.loads(done.stdout)).max() <= TOLERANCE
 
 
@@ -256,3 +274,27 @@ def test_the_command_exports_once_and_nothing_twice(tmp_path, keypoint, capsys):
         assert main(["export", "--policy", wrong[0], "--out", wrong[1]]) == 1
         assert capsys.readouterr().err.startswith("error: ")
     assert not (tmp_path / "again").exists()
+
+
+def example(*arguments, cwd):
+    command = [sys.executable, str(ROOT / "examples" / "plan.py"), *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def test_the_example_plans_with_an_exported_policy(tmp_path, attempt, exported):
+    write_picture(tmp_path / "photo.png", attempt.before.color)
+    u, v = goal_of(attempt).center
+    arguments = ["--policy", exported["keypoint"], "--picture", "photo.png", "--goal", u, v, "--out", "p.png"]
+    done = example(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "pick=PlanarPose" in done.stdout
+    plan = read_picture(tmp_path / "p.png")
+    assert plan.shape == attempt.before.color.shape
+    assert (plan != attempt.before.color).any()
+
+
+def test_the_example_says_how_to_get_a_run(tmp_path):
+    done = example(cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: no run in demo/keypoint: `make demo` makes one")
+    assert done.stderr.count("\n") == 1

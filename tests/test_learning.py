@@ -1,6 +1,7 @@
 """Training: what it learns, what it writes, and that a kill costs nothing."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
@@ -22,12 +25,12 @@ from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.background import deferred_interrupt, prefetched
 from baggie.learning.certainty import calibrate
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, _turned_yaw
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.split import Split
 from baggie.learning.state import FILE
-from baggie.policies import KeypointPolicy, load_policy, planar_map
+from baggie.policies import KeypointPolicy, load_policy, phase, planar_map
 from baggie.policies.resnet import ResNet18
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
@@ -164,6 +167,20 @@ def test_warped_pictures_are_where_their_coordinates_say():
         found = apply_homography(to_picture, [(centre - 0.5) / 2])
         half_pixels.append(np.linalg.norm(normalized - found, axis=1).min() * SIZE[0] / 2)
     assert max(half_pixels) < 0.3  # pixels of the camera's picture
+
+
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.integers(0, 1000))
+def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
+    """Whatever the camera: the phase seen after is the phase seen before, plus that of the turn."""
+    rng = np.random.default_rng(seed)
+    jacobian = np.diag([0.002, -0.002]) + rng.normal(0, 2e-4, (2, 2))
+    after = torch.tensor(_turned_yaw(yaw, angle, jacobian))
+    j = torch.from_numpy(jacobian)
+    cos, sin = phase.phase_of(torch.tensor(yaw, dtype=torch.float64), j, phase.LONG).tolist()
+    turned_cos, turned_sin = phase.phase_of(after.double(), j, phase.LONG).tolist()
+    assert math.remainder(
+        math.atan2(turned_sin, turned_cos) - math.atan2(sin, cos) - 2 * angle, 2 * math.pi
+    ) == pytest.approx(0, abs=1e-5)
 
 
 def test_goals_are_exchanged_between_attempts():

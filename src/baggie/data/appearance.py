@@ -5,6 +5,7 @@ The object keeps its shape and its shading, so a policy has to learn what a bag 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import cv2
@@ -53,6 +54,26 @@ def random_look(rng: np.random.Generator, picture: Image, mask: Mask) -> Image:
     cloth = _cloth(rng, seen, mask) if rng.random() < 0.8 else seen
     share = mask[..., None]
     return np.asarray(np.clip(share * cloth + (1 - share) * table, 0, 255), np.uint8)
+
+
+def without_object(picture: Image, mask: Mask) -> Image:
+    """The scene `(H, W, 3)` with the table, as its surroundings suggest it, where the object was."""
+    hidden = cv2.dilate((mask > 0.02).astype(np.uint8), np.ones((5, 5), np.uint8))
+    return np.asarray(cv2.inpaint(picture, hidden, 4, cv2.INPAINT_TELEA), np.uint8)
+
+
+def turned(picture: Image, table: Image, mask: Mask, about: FloatArray, angle: float) -> tuple[Image, Mask]:
+    """The object turned on the spot: the scene and the mask then.
+
+    `table` is the scene `without_object`; `about` `(2,)` pixels (u, v); `angle` radians, from u towards v. Objects that
+    were always put down square to the table would teach a network to look at the table's grain instead.
+    """
+    turn = cv2.getRotationMatrix2D((float(about[0]), float(about[1])), -math.degrees(angle), 1.0)
+    size = (picture.shape[1], picture.shape[0])
+    there = np.asarray(cv2.warpAffine(mask, turn, size), np.float32)
+    moved = cv2.warpAffine(picture, turn, size, borderMode=cv2.BORDER_REPLICATE)
+    share = there[..., None]
+    return np.asarray(share * moved + (1 - share) * table, np.uint8), there
 
 
 def _cloth(rng: np.random.Generator, seen: NDArray[np.float32], mask: Mask) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from torch.optim import AdamW, Optimizer
 
 from baggie.data.annotation import goal_of
-from baggie.data.appearance import object_mask, random_look
+from baggie.data.appearance import object_mask, random_look, turned, without_object
 from baggie.data.augmentation import WarpRange, random_light, random_warp
 from baggie.geometry import FloatArray, apply_homography
 from baggie.learning.certainty import calibrate
@@ -42,6 +42,8 @@ _ROUND_CM = 0.5
 """Errors below this count squared: labels are no better."""
 _SPREAD_CELLS = 1.5
 _YAW_WEIGHT = 1.0
+_TURNED = 0.5
+"""The share of objects that are turned on the spot, by up to a quarter turn either way."""
 _APART = 0.75
 """Of the sum of their sizes: a painted goal nearer than this to the object would hide it."""
 
@@ -54,7 +56,7 @@ class KeypointOptions:
     weights: str | None = None
     """Published ResNet-18 weights to start from: a file or a Hub id."""
     goal_input: GoalInput = field(default_factory=GoalInput)
-    new_looks: float = 0.5
+    new_looks: float = 0.25
     """The share of pictures that are given another cloth, table and clutter."""
     warps: WarpRange = field(default_factory=WarpRange)
     fuse_labels: bool = True
@@ -68,7 +70,7 @@ class KeypointRecipe:
     labels agree on, so that the network has only to learn to see.
     """
 
-    steps: ClassVar[int] = 600
+    steps: ClassVar[int] = 800
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 5.0
     network_class: ClassVar[type[KeypointNet]] = KeypointNet
@@ -91,12 +93,25 @@ class KeypointRecipe:
         network = self._network()
         self.policy = KeypointPolicy(network, view, attempts[0].cell, self.options.goal_input)
         self._pictures = np.stack([view.cut(attempt.before.color) for attempt in attempts])
-        self._masks = self._object_masks(attempts, view)
+        boxes_before = [view.to_input(attempt.box_before) for attempt in attempts]
+        self._masks = [
+            object_mask(picture, box) if np.isfinite(box).all() else None
+            for picture, box in zip(self._pictures, boxes_before, strict=True)
+        ]
+        self._tables = [
+            None if mask is None else without_object(picture, mask)
+            for picture, mask in zip(self._pictures, self._masks, strict=True)
+        ]
         self._goals = [view.goal_to_input(goal) for goal in goals]
         self.labels = Labels.of(attempts, view, network.to_robot, self.options.fuse_labels)
         with torch.no_grad():
-            points = network.to_robot.inverse(torch.from_numpy(self.labels.xy).float()).double().numpy()
+            normalized = network.to_robot.inverse(torch.from_numpy(self.labels.xy).float())
+            # The view is scaled and cut, so that directions in it are those in the picture, but for its two scales.
+            jacobian = network.to_robot.jacobian(normalized[:, 0]).double().numpy()
+        points = normalized.double().numpy()
         self._from_input = view.normalize() @ view.from_input()
+        self._jacobian = jacobian @ self._from_input[:2, :2]
+        """`(N, 2, 2)`: d (x, y) / d (u, v) at the picks, metres per pixel of the input."""
         in_input = apply_homography(np.linalg.inv(self._from_input), points.reshape(-1, 2))
         self._points: FloatArray = in_input.reshape(-1, 2, 2)
         """`(N, 2, 2)`: about where pick and place labels are in the input, pixels."""
@@ -108,17 +123,6 @@ class KeypointRecipe:
             assert isinstance(network.features, ResNetFeatures)
             network.features.load_imagenet(load_imagenet(options.weights))
         return network
-
-    def _object_masks(self, attempts: Sequence[Attempt], view: View) -> list[np.ndarray | None]:
-        """Where the object is in each view, where that is known and of use."""
-        if self.options.new_looks == 0:
-            return [None] * len(attempts)
-        return [
-            object_mask(picture, view.to_input(attempt.box_before))
-            if np.isfinite(attempt.box_before).all()
-            else None
-            for picture, attempt in zip(self._pictures, attempts, strict=True)
-        ]
 
     def optimizer(self) -> Optimizer:
         """Adam with decoupled weight decay; the map has a low rate and no decay."""
@@ -143,14 +147,14 @@ class KeypointRecipe:
         pick_from, place_from = rng.integers(0, count, _BATCH), rng.integers(0, count, _BATCH)
         place_from = np.array([self._not_hidden(i, j) for i, j in zip(pick_from, place_from, strict=True)])
         samples = [self._warped(rng, i, j) for i, j in zip(pick_from, place_from, strict=True)]
-        images, to_picture, cells = zip(*samples, strict=True)
+        images, to_picture, cells, yaw = zip(*samples, strict=True)
         labels = self.labels
         numbers = {
             "to_picture": np.stack(to_picture),
             "cells": np.stack(cells),
             "xy": np.stack([labels.xy[pick_from, 0], labels.xy[place_from, 1]], axis=1),
             "weight": np.stack([labels.weight[pick_from, 0], labels.weight[place_from, 1]], axis=1),
-            "yaw": labels.yaw[pick_from],
+            "yaw": np.array(yaw),
             "yaw_weight": labels.yaw_weight[pick_from],
             "long": labels.long[pick_from],
         }
@@ -167,13 +171,18 @@ class KeypointRecipe:
 
     def _warped(
         self, rng: np.random.Generator, pick_from: int, place_from: int
-    ) -> tuple[Image, FloatArray, FloatArray]:
-        """One picture with another's goal, warped: input, its cells to the normalised picture, points in cells."""
+    ) -> tuple[Image, FloatArray, FloatArray, float]:
+        """One picture with another's goal, warped: input, its cells to the normalised picture, points in cells, yaw."""
         size, goal_input = self.policy.view.size, self.options.goal_input
         points = np.stack([self._points[pick_from, 0], self._points[place_from, 1]])
         goal = self._goals[place_from]
         warp = random_warp(rng, size, points, self.options.warps)
-        picture, mask = self._pictures[pick_from], self._masks[pick_from]
+        picture, mask, table = self._pictures[pick_from], self._masks[pick_from], self._tables[pick_from]
+        yaw = float(self.labels.yaw[pick_from])
+        if mask is not None and table is not None and rng.random() < _TURNED:
+            angle = rng.uniform(-math.pi / 2, math.pi / 2)
+            picture, mask = turned(picture, table, mask, points[0], angle)
+            yaw = _turned_yaw(yaw, angle, self._jacobian[pick_from])
         if mask is not None and rng.random() < self.options.new_looks:
             picture = random_look(rng, picture, mask)
         if (
@@ -191,7 +200,7 @@ class KeypointRecipe:
             image = goal_input.network_input(np.asarray(warped, np.uint8), moved)
         to_picture = self._from_input @ np.linalg.inv(warp) @ CELLS_TO_INPUT
         cells = apply_homography(np.linalg.inv(CELLS_TO_INPUT) @ warp, points)
-        return image, to_picture / to_picture[2, 2], cells
+        return image, to_picture / to_picture[2, 2], cells, yaw
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Huber's loss on centimetres, cross-entropy to a round heat map, squared distances of phases."""
@@ -224,6 +233,14 @@ class KeypointRecipe:
                 "doubtful": doubtful,
             },
         }
+
+
+def _turned_yaw(yaw: float, angle: float, jacobian: FloatArray) -> float:
+    """The yaw on the table, radians, of what is turned in the picture by `angle`; `jacobian` from picture to table."""
+    c, s = math.cos(angle), math.sin(angle)
+    direction = np.linalg.solve(jacobian, [math.cos(yaw), math.sin(yaw)])
+    x, y = jacobian @ np.array([[c, -s], [s, c]]) @ direction
+    return math.atan2(y, x)
 
 
 def _phase_loss(found: Keypoints, batch: Batch) -> Tensor:

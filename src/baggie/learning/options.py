@@ -31,7 +31,7 @@ class TrainOptions:
     seed: int = 0
     """Of the first weights and of all batches."""
     steps: int | None = None
-    """Batches to learn from; by default 600 of 8 for keypoint, 10,000 of 1 for regression."""
+    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression."""
     device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
     """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train
     ...`.
@@ -46,7 +46,7 @@ class TrainOptions:
     """keypoint: what sees; `resnet18` is slower and can start from published weights."""
     weights: str | None = None
     """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
-    new_looks: float = 0.5
+    new_looks: float = 0.25
     """keypoint: the share of pictures in which cloth, table and clutter are drawn anew, so that it knows a bag of any
     colour.
     """

@@ -28,7 +28,7 @@ _OPSET = 17
 """onnxruntime knows it since 1.12."""
 _TOLERANCE = 1e-4
 """Metres, radians, shares: what the exported network may be off from PyTorch's."""
-_PICTURES = 3
+_PICTURES = 5
 """On which both are compared before anything is written."""
 
 Arrays = Mapping[str, NDArray[Any]]

@@ -35,6 +35,8 @@ class Graph:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = max(cv2.getNumThreads(), 1)
         options.log_severity_level = 3
+        # Between decisions, which are rare, its threads would keep the cores busy with waiting.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             self._session = onnxruntime.InferenceSession(
                 path.read_bytes(), options, providers=["CPUExecutionProvider"]
