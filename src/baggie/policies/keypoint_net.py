@@ -100,7 +100,8 @@ class KeypointNet(nn.Module):
     def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
         """Points, poses and phases from what `fields` gives."""
         cells = self.locate(logits)
-        object_heat = F.avg_pool2d(heat_maps(logits[:, :1].detach()), CELL, divisor_override=1)
+        # A mean and not a sum, `divisor_override=1`: the ONNX exporter forgets that.
+        object_heat = CELL**2 * F.avg_pool2d(heat_maps(logits[:, :1].detach()), CELL)
         phase = (field * object_heat).sum(dim=(-2, -1)).view(-1, 2, 2)
         matrix = to_picture.unsqueeze(1)
         points = planar_map.apply(matrix, cells)
