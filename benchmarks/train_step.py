@@ -2,7 +2,8 @@
 
     python benchmarks/train_step.py
 
-One step: batch made, forward, backward, optimizer; nothing prefetched. One thread, then two.
+One step: batch made, forward, backward, optimizer; nothing prefetched. One thread, then two. Then the training loop as
+it is, which makes batches in a thread of its own: how long a step takes there, and how busy the cores are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import cv2
 import numpy as np
 import torch
 
-from baggie.learning.background import flushed_denormals
+from baggie.learning.background import flushed_denormals, prefetched
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.learning.recipe import Recipe
 from baggie.learning.regression import RegressionRecipe
@@ -47,6 +48,13 @@ def main() -> None:
                     f"{name:<22}{threads:>8}{np.median(ms):>8.0f}{ms.min():>9.0f}{ms.max():>9.0f}"
                     f"{steps:>9}{minutes:>9.1f}"
                 )
+        print(
+            f"\n{'batches made beside':<22}{'threads':>8}{'ms a step':>11}{'ms a batch':>12}{'cores busy':>12}"
+        )
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            step_ms, batch_ms, busy = in_the_loop(recipes["keypoint, batch 8"])
+            print(f"{'keypoint, batch 8':<22}{threads:>8}{step_ms:>11.0f}{batch_ms:>12.0f}{busy:>12.0%}")
 
 
 def stepper(recipe: Recipe) -> Callable[[], None]:
@@ -60,6 +68,27 @@ def stepper(recipe: Recipe) -> Callable[[], None]:
         optimizer.zero_grad()
 
     return step
+
+
+def in_the_loop(recipe: Recipe, steps: int = 40) -> tuple[float, float, float]:
+    """Milliseconds a step, milliseconds to make a batch, and the share of two cores' time that was used."""
+    rng, started = np.random.default_rng(0), time.perf_counter()
+    for _ in range(ROUNDS):
+        recipe.batch(rng)
+    batch_ms = 1000 * (time.perf_counter() - started) / ROUNDS
+    optimizer, network = recipe.optimizer(), recipe.policy.network.train()
+    wall, cpu = 0.0, 0.0
+    for number, batch in enumerate(
+        prefetched(lambda step: recipe.batch(np.random.default_rng(step)), range(steps))
+    ):
+        if number == 5:  # the first ones warm up
+            wall, cpu = time.perf_counter(), time.process_time()
+        loss, _ = recipe.loss(network, batch)
+        loss.backward()
+        optimizer.step()
+        optimizer.zero_grad()
+    seconds = time.perf_counter() - wall
+    return 1000 * seconds / (steps - 5), batch_ms, (time.process_time() - cpu) / seconds / 2
 
 
 def measure(steps: dict[str, Callable[[], None]]) -> dict[str, np.ndarray]:

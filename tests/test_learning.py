@@ -26,6 +26,7 @@ from baggie.learning import TrainOptions, train
 from baggie.learning.background import deferred_interrupt, prefetched
 from baggie.learning.certainty import calibrate
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, _turned_yaw
+from baggie.learning.labels import Disagreement
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.split import Split
@@ -65,7 +66,7 @@ def options(out: Path, **changes) -> TrainOptions:
 def overfitted(tmp_path_factory) -> Path:
     torch.set_num_threads(1)
     out = tmp_path_factory.mktemp("run")
-    train(options(out, steps=70), ATTEMPTS)
+    train(options(out, steps=100), ATTEMPTS)
     return out
 
 
@@ -260,14 +261,14 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path, monkeypatch):
 
 def test_a_finished_run_says_so_and_is_left_alone(overfitted, capsys):
     before = (overfitted / "policy.safetensors").stat().st_mtime_ns
-    metrics = train(options(overfitted, steps=70), ATTEMPTS)
+    metrics = train(options(overfitted, steps=100), ATTEMPTS)
     assert metrics == json.loads((overfitted / "metrics.json").read_text())
     assert (overfitted / "policy.safetensors").stat().st_mtime_ns == before
     assert "finished" in capsys.readouterr().err
 
 
 def test_another_training_in_the_same_folder_is_refused(overfitted):
-    for changes in ({"steps": 71}, {"steps": 70, "seed": 1}, {"steps": 70, "train": 7}):
+    for changes in ({"steps": 101}, {"steps": 100, "seed": 1}, {"steps": 100, "train": 7}):
         with pytest.raises(DataError, match="other options or data"):
             train(options(overfitted, **changes), ATTEMPTS)
 
@@ -383,7 +384,8 @@ def test_a_real_card_is_seen_and_not_drawn(overfitted, tmp_path):
 def test_radii_hold_nine_of_ten_errors_of_the_attempts_they_were_set_on(overfitted):
     policy = load_policy(overfitted)
     held_out = make_attempts(30)[10:]
-    times = calibrate(policy, held_out)
+    agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
+    times = calibrate(policy, held_out, agreed, 0.0)
     assert times is not None
     inside = []
     for attempt in held_out:
@@ -397,9 +399,25 @@ def test_radii_hold_nine_of_ten_errors_of_the_attempts_they_were_set_on(overfitt
     assert np.sum(inside, axis=0).tolist() == [19, 19]  # ⌈0.9 · 21⌉ of 20
 
 
+def test_what_two_opinions_disagree_about_widens_the_radius(overfitted):
+    policy = load_policy(overfitted)
+    held_out = make_attempts(30)[10:]
+    goal, picture = goal_of(held_out[0]), held_out[0].before
+    apart = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
+    calibrate(policy, held_out, apart, 0.0)
+    agreed = policy.plan(picture, goal)
+    calibrate(policy, held_out, apart, 0.04)
+    doubted = policy.plan(picture, goal)
+    assert doubted.pick_within_m == pytest.approx(
+        math.hypot(agreed.pick_within_m, 0.02 * math.sqrt(math.log(10)))
+    )
+    assert doubted.place_within_m == agreed.place_within_m
+
+
 def test_without_enough_held_out_attempts_nothing_is_said(overfitted):
     policy = load_policy(overfitted)
-    assert calibrate(policy, ATTEMPTS[:9]) is None
+    agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
+    assert calibrate(policy, ATTEMPTS[:9], agreed, 0.0) is None
     plan = policy.plan(ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
     assert plan.pick_within_m is None
     assert plan.place_within_m is None

@@ -46,5 +46,7 @@ def policy_name(policy: str) -> str:
 
 def fingerprint(policy: str) -> str:
     """Changes when a run is trained or exported again: the hash of its weights; empty for what has none."""
-    weights = Path(policy) / (checkpoint.GRAPH if checkpoint.is_exported(Path(policy)) else checkpoint.WEIGHTS)
+    weights = Path(policy) / (
+        checkpoint.GRAPH if checkpoint.is_exported(Path(policy)) else checkpoint.WEIGHTS
+    )
     return hashlib.sha256(weights.read_bytes()).hexdigest()[:16] if weights.exists() else ""

@@ -11,6 +11,7 @@ import torch
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
+from baggie.learning.labels import Disagreement
 from baggie.policies.keypoint import KeypointPolicy
 from baggie.types import Attempt
 
@@ -20,34 +21,43 @@ _FEWEST = 10
 """Attempts without which nothing is said: a 90% radius needs at least nine."""
 
 
-def calibrate(policy: KeypointPolicy, attempts: Sequence[Attempt]) -> list[float] | None:
+def calibrate(
+    policy: KeypointPolicy, attempts: Sequence[Attempt], disagreement: Disagreement, systematic_m: float
+) -> list[float] | None:
     """Set how many times the heat maps' spread the stated radii are, of pick and place, from held-out attempts.
 
     Split conformal prediction: with errors over spreads e₁..eₙ of held-out attempts, the ⌈0.9 (n + 1)⌉-th smallest
     holds that of a new one at least nine times of ten, whatever their distribution. Source: H. Papadopoulos et al.,
     "Inductive confidence machines for regression", ECML 2002. None, and plans without radii, when there are fewer than
     ten.
+
+    Picks are compared with labels that are half-way between the two opinions there are, as those it learned from. Where
+    two independent opinions are D apart, the one half-way is off by D / 2 (root mean square), whatever held-out labels
+    say: 90% of a round normal distribution is within √(ln 10) times that, and it is added in quadrature.
     """
-    times = policy.network.radius.times_spread
-    times.fill_(1.0)
-    ratios = np.array([ratio for attempt in attempts if (ratio := _ratios(policy, attempt)) is not None])
+    radius = policy.network.radius
+    radius.floor_m.zero_()
+    radius.times_spread.fill_(1.0)
+    ratios = [ratio for attempt in attempts if (ratio := _ratios(policy, attempt, disagreement)) is not None]
     if len(ratios) < _FEWEST:
-        times.zero_()
+        radius.times_spread.zero_()
         return None
     rank = min(math.ceil(COVERAGE * (len(ratios) + 1)), len(ratios))
-    found = np.sort(ratios, axis=0)[rank - 1]
-    times.copy_(torch.from_numpy(found))
+    found = np.sort(np.array(ratios), axis=0)[rank - 1]
+    radius.times_spread.copy_(torch.from_numpy(found))
+    radius.floor_m[0] = math.sqrt(-math.log(1 - COVERAGE)) * systematic_m / 2
     return [float(value) for value in found]
 
 
-def _ratios(policy: KeypointPolicy, attempt: Attempt) -> FloatArray | None:
+def _ratios(policy: KeypointPolicy, attempt: Attempt, disagreement: Disagreement) -> FloatArray | None:
     """`(2,)`: errors of pick and place against their labels over the heat maps' spread; None without a plan."""
     try:
         plan = policy.plan(attempt.before, goal_of(attempt))
     except BaggieError:
         return None
     executed, planned = attempt.outcome.executed, plan.action
-    errors = [planned.pick.distance(executed.pick), planned.place.distance(executed.place)]
+    pick = executed.pick.xy + disagreement.at(executed.pick.xy[None])[0] / 2
+    errors = [float(np.linalg.norm(planned.pick.xy - pick)), planned.place.distance(executed.place)]
     assert plan.pick_within_m is not None
     assert plan.place_within_m is not None
     return np.array(errors) / [plan.pick_within_m, plan.place_within_m]

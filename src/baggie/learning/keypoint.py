@@ -24,7 +24,7 @@ from baggie.learning.recipe import Batch
 from baggie.policies import phase
 from baggie.policies.features import Backbone, ResNetFeatures
 from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.keypoint_net import KeypointNet, Keypoints
+from baggie.policies.keypoint_net import KeypointNet, Keypoints, phases_under
 from baggie.policies.keypoint_plan import CELLS_TO_INPUT, GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.resnet import load_imagenet
@@ -210,7 +210,8 @@ class KeypointRecipe:
         position = (batch["weight"] * position).mean() / _ROUND_CM
         target = gaussians(batch["cells"], _SPREAD_CELLS, *found.logits.shape[-2:])
         heat = -(target * found.log_heat()).sum(dim=(-2, -1)).mean()
-        yaw = _phase_loss(found, batch)
+        # Read where the object is and not where the network thinks so: at first that is everywhere.
+        yaw = _phase_loss(phases_under(target[:, :1], found.field), found.jacobian[:, 0].detach(), batch)
         parts = {
             "pick_error_cm": error_cm[:, 0].mean(),
             "place_error_cm": error_cm[:, 1].mean(),
@@ -226,7 +227,7 @@ class KeypointRecipe:
         labels = self.labels
         doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.doubts]
         return {
-            "radius_times_spread": calibrate(policy, val),
+            "radius_times_spread": calibrate(policy, val, labels.disagreement, labels.systematic_m),
             "labels_fused": {
                 "pictures_with_two_opinions": labels.pairs,
                 "systematic_mm": 1000 * labels.systematic_m,
@@ -243,10 +244,9 @@ def _turned_yaw(yaw: float, angle: float, jacobian: FloatArray) -> float:
     return math.atan2(y, x)
 
 
-def _phase_loss(found: Keypoints, batch: Batch) -> Tensor:
-    """Squared distances of both phases; that of a long thing is of no length where the thing is square."""
-    jacobian = found.jacobian[:, 0].detach()
+def _phase_loss(found: Tensor, jacobian: Tensor, batch: Batch) -> Tensor:
+    """Squared distances of both phases `(B, 2, 2)`; that of a long thing is of no length where the thing is square."""
     square = phase.phase_of(batch["yaw"], jacobian, phase.SQUARE)
     long = phase.phase_of(batch["yaw"], jacobian, phase.LONG) * batch["long"].unsqueeze(-1)
-    off = (found.phase - torch.stack([square, long], dim=1)).square().sum(dim=(1, 2))
+    off = (found - torch.stack([square, long], dim=1)).square().sum(dim=(1, 2))
     return (batch["yaw_weight"] * off).mean()

@@ -9,7 +9,7 @@ labels, shows which ones do not fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -46,6 +46,26 @@ class Doubt:
 
 
 @dataclass(frozen=True)
+class Disagreement:
+    """How far releases say an object is from where the collector's eye says, as a smooth field over the table."""
+
+    middle: FloatArray
+    """`(2,)` metres, where `extent` is measured from."""
+    extent: FloatArray
+    """`(2,)` metres."""
+    field: FloatArray
+    """`(3, 2)` metres: the constant, and the slopes over `extent` along x and y."""
+
+    def at(self, xy: FloatArray) -> FloatArray:
+        """`(N, 2)` -> `(N, 2)`, metres."""
+        return np.asarray(self.terms(xy) @ self.field)
+
+    def terms(self, xy: FloatArray) -> FloatArray:
+        """`(N, 3)`: what the field's rows are multiplied with."""
+        return np.column_stack([np.ones(len(xy)), (xy - self.middle) / self.extent])
+
+
+@dataclass(frozen=True)
 class Labels:
     """Labels of N attempts; K = 2 are (pick, place)."""
 
@@ -63,8 +83,10 @@ class Labels:
     """Worst first."""
     pairs: int
     """Pictures with a second opinion, from the release before."""
+    disagreement: Disagreement
+    """Between both kinds of label; half of it was corrected, as neither is known to be right."""
     systematic_m: float
-    """How far apart both kinds of label are the same way everywhere, root mean square; half of it was corrected."""
+    """Its root mean square over the picks."""
 
     @classmethod
     def of(cls, attempts: Sequence[Attempt], view: View, to_robot: PlanarMap, fuse: bool = True) -> Labels:
@@ -78,11 +100,10 @@ class Labels:
         seen = apply_homography(view.normalize(), boxes.reshape(-1, 2)).reshape(*boxes.shape)  # (N, K, 4, 2)
         centers = seen.mean(axis=2)
         known = np.isfinite(centers).all(axis=-1)
-        pairs, systematic = 0, 0.0
-        if fuse:
-            shift, pairs = _systematic(attempts, centers, xy)
-            systematic = float(np.sqrt((shift**2).sum(axis=1).mean()))
-            xy[:, 0] += shift / 2  # neither kind is known to be right
+        disagreement, pairs = _systematic(attempts if fuse else [], centers, xy)
+        shift = disagreement.at(xy[:, 0])
+        systematic = float(np.sqrt((shift**2).sum(axis=1).mean()))
+        xy[:, 0] += shift / 2
         noise = np.broadcast_to([EYE_M, LANDING_M], known.shape)
         if fuse:
             to_robot.fit(centers[known], xy[known], noise[known])
@@ -109,15 +130,16 @@ class Labels:
             long,
             sorted(doubts, key=lambda doubt: -doubt.off_mm),
             pairs,
+            disagreement,
             systematic,
         )
 
 
-def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray) -> tuple[FloatArray, int]:
-    """How far release poses are from picks of the same object, as a smooth field at every pick `(N, 2)` metres.
+def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray) -> tuple[Disagreement, int]:
+    """How far release poses are from picks of the same object, and from how many pairs that is known.
 
     A constant and a slope, the most probable ones: some pairs that scatter by `LANDING_M` against a prior of
-    `_SYSTEMATIC_M`. Also how many pairs there were.
+    `_SYSTEMATIC_M`.
     """
     following = [
         later
@@ -125,22 +147,21 @@ def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray
         if b.attempt_id == a.attempt_id + 1
         and np.linalg.norm(centers[later, 0] - centers[later - 1, 1]) < 2 * _SAME_PLACE
     ]
-    middle, extent = (
-        xy[:, 0].mean(axis=0),
-        np.maximum(np.abs(xy[:, 0] - xy[:, 0].mean(axis=0)).max(axis=0), 0.05),
-    )
-    terms = np.column_stack([np.ones(len(xy)), (xy[:, 0] - middle) / extent])
+    middle = xy[:, 0].mean(axis=0)
+    extent = np.maximum(np.abs(xy[:, 0] - middle).max(axis=0), 0.05)
+    found = Disagreement(middle, extent, np.zeros((3, 2)))
     if not following:
-        return np.zeros((len(xy), 2)), 0
+        return found, 0
     apart = xy[np.array(following) - 1, 1] - xy[following, 0]
+    terms = found.terms(xy[following, 0])
     weight = np.ones(len(apart))
     prior = np.eye(3) * (LANDING_M / _SYSTEMATIC_M) ** 2
     for _ in range(10):  # Huber's weights, so that one bad landing does not count
-        a = terms[following]
-        field = np.linalg.solve(a.T @ (a * weight[:, None]) + prior, a.T @ (apart * weight[:, None]))
-        size = np.linalg.norm(apart - a @ field, axis=1)
+        weighted = terms * weight[:, None]
+        field = np.linalg.solve(terms.T @ weighted + prior, weighted.T @ apart)
+        size = np.linalg.norm(apart - terms @ field, axis=1)
         weight = np.minimum(1.0, 2 * LANDING_M / np.maximum(size, 1e-9))
-    return terms @ field, len(following)
+    return replace(found, field=field), len(following)
 
 
 def _usual(residuals: FloatArray) -> float:

@@ -35,6 +35,8 @@ class Keypoints(NamedTuple):
     """`(B, K, h, w)`: their softmax over the cells is the heat map."""
     cells: Tensor
     """`(B, K, 2)`: the points in the heat maps as (u, v), cell centres at integers."""
+    field: Tensor
+    """`(B, 4, h / 2, w / 2)`: the phases that every place would have; see `phases_under`."""
 
     def heat(self) -> Tensor:
         """`(B, K, h, w)`: each map sums to 1."""
@@ -100,17 +102,22 @@ class KeypointNet(nn.Module):
     def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
         """Points, poses and phases from what `fields` gives."""
         cells = self.locate(logits)
-        # A mean and not a sum, `divisor_override=1`: the ONNX exporter forgets that.
-        object_heat = CELL**2 * F.avg_pool2d(heat_maps(logits[:, :1].detach()), CELL)
-        phase = (field * object_heat).sum(dim=(-2, -1)).view(-1, 2, 2)
+        phase = phases_under(heat_maps(logits[:, :1].detach()), field)
         matrix = to_picture.unsqueeze(1)
         points = planar_map.apply(matrix, cells)
         jacobian = self.to_robot.jacobian(points) @ planar_map.jacobian(matrix, cells)
-        return Keypoints(self.to_robot(points), phase, jacobian, logits, cells)
+        return Keypoints(self.to_robot(points), phase, jacobian, logits, cells, field)
 
     def locate(self, logits: Tensor) -> Tensor:
         """`(B, K, h, w)` -> `(B, K, 2)`: the points as (u, v) in cells."""
         return local_soft_argmax(logits, PEAK_RADIUS)
+
+
+def phases_under(heat: Tensor, field: Tensor) -> Tensor:
+    """The mean phases of a field `(B, 4, h / 2, w / 2)` where a heat map `(B, 1, h, w)` has its weight: `(B, 2, 2)`."""
+    # A mean times four and not a sum, `divisor_override=1`: the ONNX exporter forgets that.
+    weight = CELL**2 * F.avg_pool2d(heat, CELL)
+    return (field * weight).sum(dim=(-2, -1)).view(-1, 2, 2)
 
 
 class Radius(nn.Module):
@@ -118,14 +125,17 @@ class Radius(nn.Module):
 
     times_spread: Tensor
     """`(2,)`: of pick and place; 0 until it is known."""
+    floor_m: Tensor
+    """`(2,)`: what labels may be off the same way everywhere, which none that is held out can show."""
 
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("times_spread", torch.zeros(2))
+        self.register_buffer("floor_m", torch.zeros(2))
 
     def forward(self, found: Keypoints) -> Tensor:
         """Radii that hold the truth nine times of ten: `(B, 2)` metres."""
-        return self.times_spread * spread_m(found)
+        return ((self.times_spread * spread_m(found)) ** 2 + self.floor_m**2).sqrt()
 
 
 def spread_m(found: Keypoints) -> Tensor:
