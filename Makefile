@@ -27,11 +27,22 @@ bench: $(STAMP) gl ## tables of speed and memory
 	for name in simulation data_read train_step decision; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit; done
 
-results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: hours on two cores
+results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: many hours on two cores
 	$(BIN)/python benchmarks/collection.py --out runs/recording
-	$(BIN)/python benchmarks/policies.py --data runs/recording --runs runs
-	$(BIN)/python benchmarks/media.py --policy runs/keypoint
-	$(BIN)/python benchmarks/learned_map.py --policy runs/keypoint --data runs/recording
+	for cell in 1 2 3 4; do \
+	    $(BIN)/baggie collect --attempts 260 --seed $$cell --cell $$cell --out runs/recordings/cell-$$cell || exit; done
+	$(BIN)/baggie collect --attempts 460 --seed 0 --cell 0 --out runs/recordings/cell-0
+	$(BIN)/baggie collect --scenery varied --attempts 260 --seed 5 --cell 0 --out runs/recordings/varied-0
+	$(BIN)/python benchmarks/policies.py
+	$(BIN)/python benchmarks/generalisation.py
+	$(BIN)/python benchmarks/data_curve.py
+	$(BIN)/python benchmarks/ablations.py
+	for experiment in curves virtual-goals printed-card color-mask report; do \
+	    $(BIN)/python benchmarks/published.py $$experiment || exit; done
+	$(BIN)/python benchmarks/goal_card.py
+	$(BIN)/python benchmarks/second_look.py
+	$(BIN)/python benchmarks/media.py --policy runs/policies/cell-0/keypoint
+	$(BIN)/python benchmarks/learned_map.py --policy runs/policies/cell-0/keypoint --data runs/recordings/cell-0
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
 
