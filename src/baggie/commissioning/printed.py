@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from baggie.errors import BaggieError
+from baggie.vision.goal_card import CARD_COLOR
 from baggie.vision.printing import print_goal_card, print_target
 from baggie.vision.targets import parse_target
 
@@ -43,7 +44,7 @@ class PrintOptions:
     """A4 or A3; what the target was made for unless given."""
     size: float = 0.13
     """Side of a goal card, metres."""
-    color: tuple[int, int, int] = (26, 140, 51)
+    color: tuple[int, int, int] = CARD_COLOR
     """RGB of a goal card."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from baggie.policies.features import Backbone
+from baggie.types import DrawnStyle
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class TrainOptions:
     """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train
     ...`.
     """
-    goal_style: Literal["outline", "solid"] = "solid"
+    goal_style: DrawnStyle = "solid"
     """regression: how goals are painted into its pictures. keypoint sees the region only."""
     goal_color: tuple[int, int, int] = (0, 200, 0)
     """regression: the colour of painted goals, RGB."""

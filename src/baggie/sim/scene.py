@@ -25,6 +25,7 @@ from baggie.sim.targets import (
 )
 from baggie.sim.textures import cloth, table_top
 from baggie.types import Image
+from baggie.vision.goal_card import CARD_COLOR
 
 TIMESTEP_S = 0.004  # 8 ms halve the time and lose a quarter of the grasps
 TOOL_OFFSET_M = (
@@ -69,7 +70,7 @@ _WORLD = """
     <geom name="table_top" type="box" size="0.55 0.7 0.02" pos="0.4 0 -0.0201" material="table"
         contype="0" conaffinity="0"/>
     <body name="card" mocap="true" pos="0 0 -1">
-      <geom name="card" type="box" size="{card} {card} 0.0004" rgba="0.10 0.55 0.20 1" contype="0" conaffinity="0"/>
+      <geom name="card" type="box" size="{card} {card} 0.0004" rgba="{card_color} 1" contype="0" conaffinity="0"/>
     </body>
     <camera name="film" pos="1.40 -0.80 0.75" mode="targetbody" target="look_here" fovy="46"/>
     <body name="look_here" pos="0.40 0 0.20"/>
@@ -98,6 +99,7 @@ def build_model(
         table_height=TABLE_HEIGHT_M,
         floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
         card=CARD_SIZE_M / 2,
+        card_color=" ".join(f"{value / 255:.3f}" for value in CARD_COLOR),
         second_cloth=_SECOND_CLOTH if second else "",
         bags=bags,
         distractors="".join(distractor_xml(number, thing) for number, thing in enumerate(distractors)),

@@ -20,7 +20,8 @@ from matplotlib.path import Path as Outline
 
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import FloatArray
-from baggie.types import GoalStyle
+from baggie.types import DrawnStyle
+from baggie.vision.goal_card import CARD_COLOR
 from baggie.vision.pattern import pattern
 from baggie.vision.targets import Charuco, Chessboard, Marker, Target
 
@@ -54,9 +55,9 @@ def print_target(target: Target, path: Path, paper: str = "A4") -> None:
 def print_goal_card(
     path: Path,
     size_m: float = 0.13,
-    color: tuple[int, int, int] = (26, 140, 51),
+    color: tuple[int, int, int] = CARD_COLOR,
     paper: str = "A4",
-    style: GoalStyle = "solid",
+    style: DrawnStyle = "solid",
 ) -> None:
     """Write a goal card, a square of one colour (RGB) with cut marks, as a PDF at true size.
 
@@ -76,7 +77,7 @@ def draw_target(target: Target, paper: str = "A4") -> Figure:
     return page.figure
 
 
-def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style: GoalStyle) -> Figure:
+def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style: DrawnStyle) -> Figure:
     """The page that `print_goal_card` writes."""
     if not 0 < size_m < 1 or any(not 0 <= value <= 255 for value in color):
         raise BaggieError(

@@ -15,7 +15,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
-from baggie.sim.bag import BagParameters
+from baggie.sim.bag import LONG_ASPECT, BagParameters
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
@@ -74,6 +74,7 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
     bag = BagParameters(
         length_m=written.bag.length_m,
         width_m=written.bag.width_m,
+        shape="long" if written.bag.length_m >= LONG_ASPECT * written.bag.width_m else "square",
         mass_kg=written.bag.mass_kg,
         color=written.bag.color,
     )
@@ -84,7 +85,7 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
         workspace=Rectangle(*written.workspace.x, *written.workspace.y),
         object_color=bag.color,
         object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
-        object_symmetry=4 if bag.length_m == bag.width_m else 2,
+        object_symmetry=bag.symmetry,
         sure_within_m=written.sure_within_m,
     )
     opened = SimulatedWorkcell(written.cell, settings, bag)
