@@ -11,7 +11,7 @@ import torch
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.learning.labels import Disagreement
+from baggie.learning.labels import SYSTEMATIC_M, Disagreement
 from baggie.policies.keypoint import KeypointPolicy
 from baggie.types import Attempt
 
@@ -22,18 +22,21 @@ _FEWEST = 10
 
 
 def calibrate(
-    policy: KeypointPolicy, attempts: Sequence[Attempt], disagreement: Disagreement, systematic_m: float
+    policy: KeypointPolicy, attempts: Sequence[Attempt], disagreement: Disagreement, opinions: int
 ) -> list[float] | None:
     """Set how many times the heat maps' spread the stated radii are, of pick and place, from held-out attempts.
+
+    `opinions`: how many kinds of label there were to learn from, 1 or 2.
 
     Split conformal prediction: with errors over spreads e₁..eₙ of held-out attempts, the ⌈0.9 (n + 1)⌉-th smallest
     holds that of a new one at least nine times of ten, whatever their distribution. Source: H. Papadopoulos et al.,
     "Inductive confidence machines for regression", ECML 2002. None, and plans without radii, when there are fewer than
     ten.
 
-    Picks are compared with labels that are half-way between the two opinions there are, as those it learned from. Where
-    two independent opinions are D apart, the one half-way is off by D / 2 (root mean square), whatever held-out labels
-    say: 90% of a round normal distribution is within √(ln 10) times that, and it is added in quadrature.
+    Picks are compared with labels half-way between the two opinions there are, as those it learned from. What both have
+    wrong alike no held-out label shows, and how far they are apart says nothing of it: of two independent errors the
+    mean does not depend on the difference. Each kind of label may be off by `SYSTEMATIC_M`, so their mean by that over
+    √2; √(ln 10) times that holds 90% of a round normal distribution, and is added in quadrature.
     """
     radius = policy.network.radius
     radius.floor_m.zero_()
@@ -45,7 +48,7 @@ def calibrate(
     rank = min(math.ceil(COVERAGE * (len(ratios) + 1)), len(ratios))
     found = np.sort(np.array(ratios), axis=0)[rank - 1]
     radius.times_spread.copy_(torch.from_numpy(found))
-    radius.floor_m[0] = math.sqrt(-math.log(1 - COVERAGE)) * systematic_m / 2
+    radius.floor_m[0] = math.sqrt(-math.log(1 - COVERAGE)) * SYSTEMATIC_M / math.sqrt(opinions)
     return [float(value) for value in found]
 
 

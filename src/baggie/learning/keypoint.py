@@ -227,7 +227,9 @@ class KeypointRecipe:
         labels = self.labels
         doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.doubts]
         return {
-            "radius_times_spread": calibrate(policy, val, labels.disagreement, labels.systematic_m),
+            "radius_times_spread": calibrate(
+                policy, val, labels.disagreement, opinions=2 if labels.pairs else 1
+            ),
             "labels_fused": {
                 "pictures_with_two_opinions": labels.pairs,
                 "systematic_mm": 1000 * labels.systematic_m,

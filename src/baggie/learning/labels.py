@@ -26,7 +26,7 @@ EYE_M, LANDING_M = 0.002, 0.005
 """What is expected of labels by the collector's eye and by releases, until the residuals tell."""
 _SAME_PLACE = 0.004
 """Of the picture's width: an object seen this near to where it was seen last has not been moved in between."""
-_SYSTEMATIC_M = 0.002
+SYSTEMATIC_M = 0.002
 """How far a kind of label may be off the same way everywhere, or from the middle of the workspace to its edge."""
 _KEPT, _DOUBTED = 2.5, 4.0
 """Times the usual residual: beyond the first a label loses weight, beyond the second a person should look at it."""
@@ -139,7 +139,7 @@ def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray
     """How far release poses are from picks of the same object, and from how many pairs that is known.
 
     A constant and a slope, the most probable ones: some pairs that scatter by `LANDING_M` against a prior of
-    `_SYSTEMATIC_M`.
+    `SYSTEMATIC_M`.
     """
     following = [
         later
@@ -155,7 +155,7 @@ def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray
     apart = xy[np.array(following) - 1, 1] - xy[following, 0]
     terms = found.terms(xy[following, 0])
     weight = np.ones(len(apart))
-    prior = np.eye(3) * (LANDING_M / _SYSTEMATIC_M) ** 2
+    prior = np.eye(3) * (LANDING_M / SYSTEMATIC_M) ** 2
     for _ in range(10):  # Huber's weights, so that one bad landing does not count
         weighted = terms * weight[:, None]
         field = np.linalg.solve(terms.T @ weighted + prior, weighted.T @ apart)
