@@ -2,7 +2,8 @@
 
 Three things are free. *Executed* poses are where the arm really was. The *release* pose of an attempt says where the
 object lies in the picture after it, which is the next attempt's picture before: a second opinion about what the eye of
-the collector said, wrong in other ways. And the *consensus*, the map from the picture to the robot that explains most
+the collector said, wrong in other ways; and the next pick says where the object came to rest, which is some millimetres
+from where it was let go. And the *consensus*, the map from the picture to the robot that explains most
 labels, shows which ones do not fit.
 """
 
@@ -72,7 +73,7 @@ class Labels:
     xy: FloatArray
     """`(N, K, 2)` metres, robot base frame: where the object is, and where to let go of it."""
     weight: FloatArray
-    """`(N, K)`, 1 for labels that agree with the consensus, less for others."""
+    """`(N, K)`: 1 for labels by the collector's eye that agree with the consensus, less for others."""
     yaw: FloatArray
     """`(N,)` radians: of the object at the pick."""
     yaw_weight: FloatArray
@@ -100,73 +101,92 @@ class Labels:
         seen = apply_homography(view.normalize(), boxes.reshape(-1, 2)).reshape(*boxes.shape)  # (N, K, 4, 2)
         centers = seen.mean(axis=2)
         known = np.isfinite(centers).all(axis=-1)
-        disagreement, pairs = _systematic(attempts if fuse else [], centers, xy)
+        later = _followers(attempts, centers) if fuse else np.empty(0, int)
+        disagreement = _disagreement(xy[later - 1, 1] - xy[later, 0], xy[:, 0], later)
         shift = disagreement.at(xy[:, 0])
-        systematic = float(np.sqrt((shift**2).sum(axis=1).mean()))
-        xy[:, 0] += shift / 2
-        noise = np.broadcast_to([EYE_M, LANDING_M], known.shape)
+        noise = np.tile([EYE_M, LANDING_M], (len(xy), 1))
+        xy[:, 0] += shift / 2  # neither kind is known to be right
+        xy[:, 1] -= disagreement.at(xy[:, 1]) / 2
+        said = xy.copy()
+        xy[later - 1, 1] = xy[
+            later, 0
+        ]  # the next pick tells where the object came to rest, and does not scatter
+        noise[later - 1, 1] = EYE_M
         if fuse:
             to_robot.fit(centers[known], xy[known], noise[known])
         else:
             to_robot.fit(centers[:, 1], xy[:, 1])
-        off = np.full(known.shape, 0.0)
-        off[known] = np.linalg.norm(xy[known] - _mapped(to_robot, centers[known]), axis=1)
-        usual = np.array([_usual(off[known[:, k], k]) for k in (0, 1)])
-        weight = np.minimum(1.0, (_KEPT * usual / np.maximum(off, 1e-9)) ** 2) if fuse else np.ones_like(off)
+        off, off_said = (_off(to_robot, centers, labels, known) for labels in (xy, said))
+        weight = np.ones_like(off)
+        if fuse:
+            near = _KEPT * _usual(off) / np.maximum(np.nan_to_num(off), 1e-9)
+            weight = (EYE_M / noise) ** 2 * np.minimum(1.0, near) ** 2
         yaw = np.array([action.pick.yaw for action in executed])
         in_picture, long = _directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
         turned = np.abs(wrap_angle(in_picture - yaw, np.pi / 2))
         doubts = [
-            Doubt(attempts[i].attempt_id, ("pick", "place")[k], 1000 * float(off[i, k]))
-            for i, k in zip(*np.nonzero(off > _DOUBTED * usual), strict=True)
+            Doubt(attempts[i].attempt_id, ("pick", "place")[k], 1000 * float(off_said[i, k]))
+            for i, k in zip(*np.nonzero(off_said > _DOUBTED * _usual(off_said)), strict=True)
         ]
         return cls(
             xy,
             weight,
             yaw,
-            (~(turned > _YAW_AGREES)).astype(
-                float
-            ),  # NaN where the object was not seen: nothing speaks against it
+            1.0 - (turned > _YAW_AGREES),  # NaN where the object was not seen: nothing speaks against it
             long,
             sorted(doubts, key=lambda doubt: -doubt.off_mm),
-            pairs,
+            len(later),
             disagreement,
-            systematic,
+            float(np.sqrt((shift**2).sum(axis=1).mean())),
         )
 
 
-def _systematic(attempts: Sequence[Attempt], centers: FloatArray, xy: FloatArray) -> tuple[Disagreement, int]:
-    """How far release poses are from picks of the same object, and from how many pairs that is known.
+def _followers(attempts: Sequence[Attempt], centers: FloatArray) -> NDArray[np.int64]:
+    """Attempts whose object is where the attempt before put it: `(M,)` indices; `centers` `(N, K, 2)` normalised."""
+    return np.array(
+        [
+            later
+            for later, (a, b) in enumerate(pairwise(attempts), start=1)
+            if b.attempt_id == a.attempt_id + 1
+            and np.linalg.norm(centers[later, 0] - centers[later - 1, 1]) < 2 * _SAME_PLACE
+        ],
+        int,
+    )
 
-    A constant and a slope, the most probable ones: some pairs that scatter by `LANDING_M` against a prior of
-    `SYSTEMATIC_M`.
+
+def _disagreement(apart: FloatArray, picks: FloatArray, later: NDArray[np.int64]) -> Disagreement:
+    """The field that `apart` `(M, 2)`, releases less picks of the same objects, says of all `picks` `(N, 2)`, metres.
+
+    A constant and a slope, the most probable ones: pairs that scatter by `LANDING_M` against a prior of `SYSTEMATIC_M`.
     """
-    following = [
-        later
-        for later, (a, b) in enumerate(pairwise(attempts), start=1)
-        if b.attempt_id == a.attempt_id + 1
-        and np.linalg.norm(centers[later, 0] - centers[later - 1, 1]) < 2 * _SAME_PLACE
-    ]
-    middle = xy[:, 0].mean(axis=0)
-    extent = np.maximum(np.abs(xy[:, 0] - middle).max(axis=0), 0.05)
+    middle = picks.mean(axis=0)
+    extent = np.maximum(np.abs(picks - middle).max(axis=0), 0.05)
     found = Disagreement(middle, extent, np.zeros((3, 2)))
-    if not following:
-        return found, 0
-    apart = xy[np.array(following) - 1, 1] - xy[following, 0]
-    terms = found.terms(xy[following, 0])
+    terms = found.terms(picks[later])
     weight = np.ones(len(apart))
     prior = np.eye(3) * (LANDING_M / SYSTEMATIC_M) ** 2
     for _ in range(10):  # Huber's weights, so that one bad landing does not count
         weighted = terms * weight[:, None]
-        field = np.linalg.solve(terms.T @ weighted + prior, weighted.T @ apart)
-        size = np.linalg.norm(apart - terms @ field, axis=1)
+        found = replace(
+            found, field=np.asarray(np.linalg.solve(terms.T @ weighted + prior, weighted.T @ apart), float)
+        )
+        size = np.linalg.norm(apart - terms @ found.field, axis=1)
         weight = np.minimum(1.0, 2 * LANDING_M / np.maximum(size, 1e-9))
-    return replace(found, field=field), len(following)
+    return found
 
 
-def _usual(residuals: FloatArray) -> float:
-    """Half of the residuals, metres, are smaller; but for half a millimetre nothing is doubted."""
-    return max(float(np.median(residuals)), 5e-4) if len(residuals) else 1.0
+def _off(
+    to_robot: PlanarMap, centers: FloatArray, labels: FloatArray, known: NDArray[np.bool_]
+) -> FloatArray:
+    """How far labels are from where the map puts what was seen: `(N, K)` metres, NaN where nothing was."""
+    off = np.full(known.shape, np.nan)
+    off[known] = np.linalg.norm(labels[known] - _mapped(to_robot, centers[known]), axis=1)
+    return off
+
+
+def _usual(off: FloatArray) -> FloatArray:
+    """Half of the residuals of either kind are smaller, `(K,)` metres; but for half a millimetre nothing is doubted."""
+    return np.asarray(np.maximum(np.nanmedian(off, axis=0), 5e-4))
 
 
 def _mapped(to_robot: PlanarMap, points: FloatArray) -> FloatArray:
