@@ -18,7 +18,8 @@ from torch import Tensor, nn
 
 from baggie.data.augmentation import WarpRange
 from baggie.evaluation.results import provenance, write_results
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
+from baggie.learning.keypoint import IntArray, KeypointOptions, KeypointRecipe
+from baggie.learning.samples import Changes
 from baggie.policies.features import Backbone
 from baggie.policies.keypoint_net import KeypointNet
 from baggie.policies.planar_map import PlanarMap
@@ -85,8 +86,9 @@ class HomographyRecipe(KeypointRecipe):
 class OwnGoalsRecipe(KeypointRecipe):
     """Every picture keeps its own goal."""
 
-    def _not_hidden(self, pick_from: int, place_from: int) -> int:
-        return pick_from
+    def pairs(self, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+        pick_from, _ = super().pairs(rng)
+        return pick_from, pick_from
 
 
 STILL = WarpRange(rotation=0.0, scale=1.0, shear=0.0, perspective=0.0, shift=0.0)
@@ -94,11 +96,11 @@ VARIANTS: dict[str, tuple[type[KeypointRecipe], KeypointOptions]] = {
     "keypoint, all of it": (KeypointRecipe, KeypointOptions()),
     "fully connected head": (FullyConnectedRecipe, KeypointOptions()),
     "global soft-argmax": (GlobalRecipe, KeypointOptions()),
-    "no calibration-free augmentation": (KeypointRecipe, KeypointOptions(warps=STILL)),
+    "no calibration-free augmentation": (KeypointRecipe, KeypointOptions(changes=Changes(warps=STILL))),
     "goals not exchanged": (OwnGoalsRecipe, KeypointOptions()),
     "no label fusion, no consensus": (KeypointRecipe, KeypointOptions(fuse_labels=False)),
     "homography without lens": (HomographyRecipe, KeypointOptions()),
-    "no new looks": (KeypointRecipe, KeypointOptions(new_looks=0.0)),
+    "no new looks": (KeypointRecipe, KeypointOptions(changes=Changes(new_looks=0.0))),
 }
 
 

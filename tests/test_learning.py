@@ -25,10 +25,11 @@ from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.background import deferred_interrupt, prefetched
 from baggie.learning.certainty import calibrate
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, _turned_yaw
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.labels import SYSTEMATIC_M, Disagreement
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
+from baggie.learning.samples import Changes, turned_yaw
 from baggie.learning.split import Split
 from baggie.learning.state import FILE
 from baggie.policies import KeypointPolicy, load_policy, phase, planar_map
@@ -156,7 +157,7 @@ def test_warped_pictures_are_where_their_coordinates_say():
     """f is exact here: it finds the one dot in the warped picture, which must lead back to where it was."""
     dots = [attempt.box_before.mean(axis=0) for attempt in ATTEMPTS]
     attempts = [with_a_dot(attempt, dot) for attempt, dot in zip(ATTEMPTS, dots, strict=True)]
-    recipe = KeypointRecipe(attempts, KeypointOptions(new_looks=0.0))
+    recipe = KeypointRecipe(attempts, KeypointOptions(changes=Changes(new_looks=0.0)))
     normalized = apply_homography(recipe.policy.view.normalize(), np.array(dots))
     batch = recipe.batch(np.random.default_rng(0))
     half_pixels = []
@@ -175,7 +176,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
     """Whatever the camera: the phase seen after is the phase seen before, plus that of the turn."""
     rng = np.random.default_rng(seed)
     jacobian = np.diag([0.002, -0.002]) + rng.normal(0, 2e-4, (2, 2))
-    after = torch.tensor(_turned_yaw(yaw, angle, jacobian))
+    after = torch.tensor(turned_yaw(yaw, angle, jacobian))
     j = torch.from_numpy(jacobian)
     cos, sin = phase.phase_of(torch.tensor(yaw, dtype=torch.float64), j, phase.LONG).tolist()
     turned_cos, turned_sin = phase.phase_of(after.double(), j, phase.LONG).tolist()

@@ -22,6 +22,7 @@ from baggie.learning.measure import measure
 from baggie.learning.options import TrainOptions
 from baggie.learning.recipe import Recipe
 from baggie.learning.regression import RegressionRecipe
+from baggie.learning.samples import Changes
 from baggie.learning.split import RULE, Split
 from baggie.policies import checkpoint
 from baggie.policies.keypoint_plan import GoalInput
@@ -102,7 +103,7 @@ def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
         )
     goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
     return KeypointRecipe(
-        attempts, KeypointOptions(options.backbone, options.weights, goal_input, options.new_looks)
+        attempts, KeypointOptions(options.backbone, options.weights, goal_input, Changes(options.new_looks))
     )
 
 
