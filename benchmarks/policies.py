@@ -8,15 +8,14 @@ docs/results/policies.{json,md} and the table of the README.
 
 from __future__ import annotations
 
-import json
-import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
+
+from commands import rate, read, run, spread
 
 RESULTS = Path("docs/results")
 README = Path("README.md")
@@ -47,19 +46,14 @@ class Options:
     """Which."""
 
 
-def main(options: Options) -> int:
-    """Run what is missing and write the tables; the exit status of the first step that fails, else 0."""
-    from baggie.cli import DONE  # noqa: PLC0415 -- worker processes import this file
-    from baggie.cli import main as baggie  # noqa: PLC0415
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415
+def main(options: Options) -> None:
+    """Run what is missing and write the tables."""
+    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
 
     for policy in options.policies:
         for cell in cells_of(options, policy):
             for step in steps(options, policy, cell):
-                print(f"$ baggie {step}", file=sys.stderr)
-                status = baggie(shlex.split(step))
-                if status != DONE:
-                    return status
+                run(step)
     rows = [row(options, policy) for policy in options.policies]
     notes = (
         "Errors are against the simulator's truth on 50 held-out attempts after training on 200, in "
@@ -77,7 +71,6 @@ def main(options: Options) -> int:
     )
     write_results(RESULTS / "policies-by-cell", "Cell by cell", by_cell, origin, notes)
     write_readme([*rows, PUBLISHED])
-    return 0
 
 
 def cells_of(options: Options, policy: str) -> tuple[int, ...]:
@@ -87,18 +80,18 @@ def cells_of(options: Options, policy: str) -> tuple[int, ...]:
 
 def steps(options: Options, policy: str, cell: int) -> list[str]:
     """The commands that measure one policy in one cell."""
-    run, data = run_of(options, policy, cell), options.recordings / f"cell-{cell}"
+    folder, data = run_of(options, policy, cell), options.recordings / f"cell-{cell}"
     trained = policy != "color-mask"
-    name = str(run) if trained else policy
-    train = f"train --policy {policy} --data {data} --out {run} --train 200 --val 50 --seed {options.seed}"
+    name = str(folder) if trained else policy
+    train = f"train --policy {policy} --data {data} --out {folder} --train 200 --val 50 --seed {options.seed}"
     calibration = "" if trained else f"--calibration {data}"
     evaluate = (
         f"evaluate --policy {name} {calibration} --episodes {options.episodes} --seed {options.seed} "
-        f"--cell {cell} --out {run}/evaluation"
+        f"--cell {cell} --out {folder}/evaluation"
     )
     return [
         *([train] if trained else []),
-        f"validate --policy {name} --data {data} --out {run}/validation",
+        f"validate --policy {name} --data {data} --out {folder}/validation",
         *([evaluate] if cell == options.cells[0] else []),
     ]
 
@@ -110,8 +103,8 @@ def run_of(options: Options, policy: str, cell: int) -> Path:
 
 def of_cell(options: Options, policy: str, cell: int) -> dict[str, Any]:
     """One policy in one cell."""
-    run = run_of(options, policy, cell)
-    validation, training = read(run / "validation"), run / "metrics.json"
+    folder = run_of(options, policy, cell)
+    validation, training = read(folder / "validation"), folder / "metrics.json"
     truth, stated = validation["truth"], validation.get("confidence", {})
     result = {
         "policy": policy,
@@ -119,7 +112,7 @@ def of_cell(options: Options, policy: str, cell: int) -> dict[str, Any]:
         "pick error": spread(truth["pick_error_cm"]),
         "place error": spread(truth["place_error_cm"]),
         "pick yaw (deg)": spread(truth["pick_yaw_error_deg"]),
-        "trained in (s)": round(read(run)["train_s"]) if training.exists() else "",
+        "trained in (s)": round(read(folder)["train_s"]) if training.exists() else "",
         "decision (ms)": round(validation["decision_ms"]["median"], 1),
     }
     if stated:
@@ -135,38 +128,27 @@ def inside(stated: dict[str, Any], what: str) -> str:
 
 def row(options: Options, policy: str) -> dict[str, Any]:
     """One policy over all its cells."""
-    runs = [run_of(options, policy, cell) for cell in cells_of(options, policy)]
-    validations = [read(run / "validation") for run in runs]
-    seconds = [read(run)["train_s"] for run in runs if (run / "metrics.json").exists()]
-    evaluated = runs[0] / "evaluation" / "metrics.json"
+    folders = [run_of(options, policy, cell) for cell in cells_of(options, policy)]
+    validations = [read(folder / "validation") for folder in folders]
+    seconds = [read(folder)["train_s"] for folder in folders if (folder / "metrics.json").exists()]
+    evaluated = folders[0] / "evaluation"
     return {
         "policy": policy,
         "pick error (cm)": over_cells([v["truth"]["pick_error_cm"] for v in validations]),
         "place error (cm)": over_cells([v["truth"]["place_error_cm"] for v in validations]),
         "trained in": f"{np.median(seconds) / 60:.1f} min" if seconds else "not trained",
         "decision (ms)": round(float(np.median([v["decision_ms"]["median"] for v in validations])), 1),
-        **(closed_loop(json.loads(evaluated.read_text())) if evaluated.exists() else {}),
+        **(closed_loop(read(evaluated)) if (evaluated / "metrics.json").exists() else {}),
     }
 
 
 def closed_loop(metrics: dict[str, Any]) -> dict[str, str]:
     """How the bags ended."""
-    success, distance = metrics["success"], metrics["distance_cm"]
+    distance = metrics["distance_cm"]
     return {
-        "bag within 2 cm of the goal": f"{100 * success['rate']:.0f}% of {success['n']} "
-        f"({100 * success['low']:.0f} to {100 * success['high']:.0f})",
+        "bag within 2 cm of the goal": rate(metrics["success"]),
         "final distance (cm)": f"{distance['median']:.2f} median, {distance['max']:.1f} worst",
     }
-
-
-def read(folder: Path) -> dict[str, Any]:
-    """The metrics in a folder."""
-    return dict(json.loads((folder / "metrics.json").read_text()))
-
-
-def spread(summary: dict[str, float]) -> str:
-    """Mean and worst."""
-    return f"{summary['mean']:.2f} ({summary['max']:.2f})"
 
 
 def over_cells(summaries: list[dict[str, float]]) -> str:
@@ -192,4 +174,4 @@ def write_readme(rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Options)))
+    main(tyro.cli(Options))

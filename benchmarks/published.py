@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,8 @@ from typing import Any, Literal
 import matplotlib as mpl
 import numpy as np
 import tyro
+
+from commands import failures, rate, read, run, spread
 
 RESULTS = Path("docs/results")
 CARD_SEEN = 5
@@ -60,17 +60,6 @@ def main(options: Options) -> None:
         "report": report,
     }
     experiments[options.experiment](options)
-
-
-def run(command: str) -> None:
-    """A `baggie` command; ends this one where that fails."""
-    from baggie.cli import DONE  # noqa: PLC0415 -- worker processes import this file
-    from baggie.cli import main as baggie  # noqa: PLC0415
-
-    print(f"$ baggie {command}", file=sys.stderr)
-    status = baggie(shlex.split(command))
-    if status != DONE:
-        sys.exit(status)
 
 
 def write(name: str, title: str, rows: list[dict[str, Any]], seeds: list[int], notes: str) -> None:
@@ -149,10 +138,7 @@ def virtual_goals(options: Options) -> None:
     for name, policy in subjects(options):
         for goal in ("virtual", "turned"):
             out = options.runs / f"{name}-{goal}"
-            run(
-                f"evaluate --policy {policy} --goal {goal} --episodes {options.episodes} --seed {options.seed} "
-                f"--cell {options.cell} --film 1 --out {out}"
-            )
+            run(f"evaluate --policy {policy} --goal {goal} {closed_loop(options)} --out {out}")
             rows.append(closed_loop_row({"policy": name, "goal": goal}, out))
     notes = "Nothing was fine-tuned. `virtual` goals are square to the workspace, `turned` ones at any angle."
     write("virtual-goals", "Virtual goals", rows, [options.seed], notes)
@@ -161,28 +147,34 @@ def virtual_goals(options: Options) -> None:
 def subjects(options: Options) -> Iterable[tuple[str, str]]:
     """Name and `--policy` of what is compared; the published regressor where it has been trained."""
     yield "keypoint", str(options.policies / "keypoint")
-    yield "color-mask", f"color-mask --calibration {options.recording}"
+    yield "color-mask", "color-mask"
     if (options.policies / "regression" / "metrics.json").exists():
         yield "regression", str(options.policies / "regression")
 
 
+def closed_loop(options: Options) -> str:
+    """What all evaluations have in common."""
+    return (
+        f"--calibration {options.recording} --episodes {options.episodes} --seed {options.seed} "
+        f"--cell {options.cell} --film 1"
+    )
+
+
 def closed_loop_row(row: dict[str, Any], out: Path) -> dict[str, Any]:
     """How an evaluation ended."""
-    metrics = json.loads((out / "metrics.json").read_text())
-    success, distance = metrics["success"], metrics["distance_cm"]
+    metrics = read(out)
     errors = {
-        f"{what} error (cm)": f"{metrics[key]['mean']:.2f} ({metrics[key]['max']:.2f})"
-        for what, key in (("pick", "pick_error_cm"), ("place", "place_error_cm"))
-        if key in metrics
+        f"{what} error (cm)": spread(metrics[f"{what}_error_cm"])
+        for what in ("pick", "place")
+        if f"{what}_error_cm" in metrics
     }
     return {
         **row,
-        "within 2 cm": f"{100 * success['rate']:.0f}% of {success['n']} "
-        f"({100 * success['low']:.0f} to {100 * success['high']:.0f})",
-        "median distance (cm)": round(distance["median"], 2),
+        "within 2 cm": rate(metrics["success"]),
+        "median distance (cm)": round(metrics["distance_cm"]["median"], 2),
         "yaw off (deg, median)": round(metrics["yaw_error_deg"]["median"], 1),
         **errors,
-        "failures": ", ".join(f"{n} {cause}" for cause, n in metrics["failures"].items()),
+        "failures": failures(metrics),
     }
 
 
@@ -200,21 +192,15 @@ def printed_card(options: Options) -> None:
             f"train --policy keypoint --goal-input painted --goal-style {style} --goal-color {red} {green} {blue} "
             f"--data {options.recording} --out {folder} --train 200 --val 50 --seed 0"
         )
-    subjects_ = {
-        "keypoint, card found and given as a region": str(options.policies / "keypoint"),
-        "keypoint, trained on solid patches of the card's colour": str(options.runs / "painted-solid"),
-        "keypoint, trained on outlined boxes of it": str(options.runs / "painted-outline"),
-        "color-mask": f"color-mask --calibration {options.recording}",
+    shown = {
+        "keypoint, card found and given as a region": options.policies / "keypoint",
+        "keypoint, trained on solid patches of the card's colour": options.runs / "painted-solid",
+        "keypoint, trained on outlined boxes of it": options.runs / "painted-outline",
+        "color-mask": "color-mask",
     }
-    for name, policy in subjects_.items():
+    for name, policy in shown.items():
         out = options.runs / f"card-{name.replace(', ', '-').replace(' ', '-').replace(chr(39), '')}"
-        run(
-            f"evaluate --policy {policy} --goal card --scenery light --episodes {options.episodes} --seed "
-            f"{options.seed} --cell {options.cell} --film 1 --calibration {options.recording} --out {out}"
-            if not policy.startswith("color-mask")
-            else f"evaluate --policy {policy} --goal card --scenery light --episodes {options.episodes} --seed "
-            f"{options.seed} --cell {options.cell} --film 1 --out {out}"
-        )
+        run(f"evaluate --policy {policy} --goal card --scenery light {closed_loop(options)} --out {out}")
         rows.append(closed_loop_row({"policy": name}, out))
     notes = (
         "The card lies on the table under lamps, exposures and colour casts the cell does not have; nothing was "
@@ -261,10 +247,7 @@ def color_mask(options: Options) -> None:
     """The colour-mask system's angles: how often it takes a bag that lies otherwise for one at 45 degrees."""
     from baggie.collect.places import FALSE_45_RAD  # noqa: PLC0415
 
-    run(
-        f"evaluate --policy color-mask --calibration {options.recording} --episodes {options.episodes} --seed "
-        f"{options.seed} --cell {options.cell} --film 1 --out {options.runs / 'color-mask-virtual'}"
-    )
+    run(f"evaluate --policy color-mask {closed_loop(options)} --out {options.runs / 'color-mask-virtual'}")
     rows = []
     for name, readings in angle_readings(options).items():
         read, true = (np.array(column) for column in zip(*readings, strict=True))

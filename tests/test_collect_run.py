@@ -21,6 +21,7 @@ from baggie.data import open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import Rectangle
 from baggie.processes import stream_in_processes
+from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_unhelped
 
 
@@ -91,6 +92,12 @@ def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
 def test_the_command_goes_on_with_the_same_scenery():
     assert "--scenery varied" in CollectOptions(out=Path("a"), scenery="varied").command()
     assert "--scenery" not in CollectOptions(out=Path("a")).command()
+
+
+@pytest.mark.parametrize(("scenery", "kept"), [("plain", True), ("varied", False)])
+def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, scenery, kept):
+    collect(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
+    assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
 
 def test_without_a_reference_nothing_is_watched():

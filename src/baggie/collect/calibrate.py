@@ -20,16 +20,17 @@ MARKER_HEIGHTS_M = (0.07, 0.17)
 """Above the table while it is looked at; the lower, just clear of a bag that lies there."""
 
 
-def calibrate_into(folder: Path, cell: CollectorCell, seed: int) -> None:
-    """Calibrate a cell and keep all that belongs to it: the colour-mask policy with its map, and the picture that a
-    watch compares with.
+def calibrate_into(folder: Path, cell: CollectorCell, seed: int, watched: bool = True) -> None:
+    """Calibrate a cell and keep all that belongs to it: the colour-mask policy with its map, and, where the cell is
+    `watched`, the picture that a watch compares with.
 
     Raises `BaggieError` as `calibrate` does.
     """
     from baggie.policies.color_mask import ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
 
     image_to_robot = calibrate(cell, seed)
-    write_picture(folder / REFERENCE_FILE, cell.look().color)
+    if watched:
+        write_picture(folder / REFERENCE_FILE, cell.look().color)
     ColorMaskPolicy(image_to_robot, cell.settings.object_color).save(folder)  # last: where it is, all is
 
 

@@ -81,6 +81,11 @@ class CollectOptions:
         if self.workers is not None and self.workers < 1:
             raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
 
+    @property
+    def watched(self) -> bool:
+        """Whether bumps are watched for: another table, or another lamp, is none."""
+        return self.scenery == "plain"
+
     def command(self) -> str:
         """The command line that goes on with this collection."""
         words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
@@ -157,7 +162,7 @@ def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) 
     folder = options.out / CALIBRATION_FOLDER
     if not (folder / CONFIG_FILE).exists():
         with console.status("calibrating the picture to the robot"), closing(open_cell(options.cell)) as cell:
-            calibrate_into(folder, cell, options.seed)
+            calibrate_into(folder, cell, options.seed, options.watched)
     image_to_robot = ColorMaskPolicy.load(folder).image_to_robot
     residuals = image_to_robot.residuals
     console.print(
@@ -180,9 +185,7 @@ def _record(
         console.print(f"all {options.attempts} attempts are recorded already")
         return None
     recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
-    # Another table, or another lamp, is no bump.
-    watched = options.scenery == "plain"
-    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if watched else None
+    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
     worker = functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
     done, good, start = 0, 0, time.monotonic()
     progress = Progress(

@@ -36,11 +36,9 @@ class EvaluateOptions:
     cell: int = 0
     """The workcell; a policy belongs to the one it was trained in."""
     scenery: Scenery = "plain"
-    """What a scene shows: the cell as it is, other light, bags and tables as a varied collection shows them, ones that
-    none ever shows, or a second bag."""
+    """The cell as it is, other light, what a varied collection shows, what none ever shows, or a second bag."""
     goal: GoalKind = "virtual"
-    """A goal marked in the picture, square to the workspace; the same at any angle (`turned`); or a real green card
-    on the table, which has to be found in the picture."""
+    """Marked in the picture, square to the workspace; at any angle; or a real green card that has to be found."""
     radius_cm: float = 2.0
     """A bag this near the middle of its goal is a success."""
     retries: int = 2
@@ -50,8 +48,7 @@ class EvaluateOptions:
     film: int = 2
     """How many of the first episodes to make a video of."""
     calibration: Path | None = None
-    """A recording of this cell whose image-to-robot map to use: `color-mask` plans with it (by default the cell is
-    calibrated), and `--goal card` allows for the bag's height with it (by default the policy's own recording's)."""
+    """A recording of this cell, for its map: `color-mask` plans with it, `--goal card` allows for a bag's height."""
 
     def check(self) -> None:
         """Raise `BaggieError` for what cannot be evaluated."""

@@ -3,8 +3,8 @@
 Three things are free. *Executed* poses are where the arm really was. The *release* pose of an attempt says where the
 object lies in the picture after it, which is the next attempt's picture before: a second opinion about what the eye of
 the collector said, wrong in other ways; and the next pick says where the object came to rest, which is some millimetres
-from where it was let go. And the *consensus*, the map from the picture to the robot that explains most
-labels, shows which ones do not fit.
+from where it was let go. And the *consensus*, the map from the picture to the robot that explains most labels, shows
+which ones do not fit.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from baggie.data.annotation import goal_of
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
+from baggie.policies.keypoint_plan import LONG
 from baggie.policies.planar_map import PlanarMap
 from baggie.policies.view import View
 from baggie.types import Attempt
@@ -32,7 +33,6 @@ SYSTEMATIC_M = 0.002
 _KEPT, _DOUBTED = 2.5, 4.0
 """Times the usual residual: beyond the first a label loses weight, beyond the second a person should look at it."""
 _YAW_AGREES = np.deg2rad(10)
-_LONG = 1.25
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,8 @@ class Labels:
         xy[:, 0] += shift / 2  # neither kind is known to be right
         xy[:, 1] -= disagreement.at(xy[:, 1]) / 2
         said = xy.copy()
-        xy[later - 1, 1] = xy[
-            later, 0
-        ]  # the next pick tells where the object came to rest, and does not scatter
+        # The next pick tells where the object came to rest, and does not scatter.
+        xy[later - 1, 1] = xy[later, 0]
         noise[later - 1, 1] = EYE_M
         if fuse:
             to_robot.fit(centers[known], xy[known], noise[known])
@@ -202,4 +201,4 @@ def _directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     first, second = length[:, 0::2].sum(axis=1), length[:, 1::2].sum(axis=1)
     longer = np.where((first >= second)[:, None], sides[:, 0], sides[:, 1])
     ratio = np.maximum(first, second) / np.maximum(np.minimum(first, second), 1e-9)
-    return np.arctan2(longer[:, 1], longer[:, 0]), ratio > _LONG
+    return np.arctan2(longer[:, 1], longer[:, 0]), ratio > LONG

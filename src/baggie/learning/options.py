@@ -38,9 +38,9 @@ class TrainOptions:
     ...`.
     """
     goal_style: DrawnStyle = "solid"
-    """regression: how goals are painted into its pictures. keypoint sees the region only."""
+    """How goals are painted into pictures: for regression, and for keypoint with --goal-input painted."""
     goal_color: tuple[int, int, int] = (0, 200, 0)
-    """regression: the colour of painted goals, RGB."""
+    """The colour of painted goals, RGB."""
     goal_input: Literal["region", "painted"] = "region"
     """keypoint: whether a goal is a channel of its own, or is painted into the picture as it is for regression."""
     backbone: Backbone = "small"
@@ -48,8 +48,6 @@ class TrainOptions:
     weights: str | None = None
     """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
     new_looks: float = 0.25
-    """keypoint: the share of pictures in which cloth, table and clutter are drawn anew, so that it knows a bag of any
-    colour.
-    """
+    """keypoint: the share of pictures with cloth, table and clutter drawn anew, to know bags of any colour."""
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""

@@ -15,7 +15,7 @@ from baggie.learning.recipe import Batch
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.regression import RegressionNet, RegressionPolicy
 from baggie.policies.resnet import load_imagenet
-from baggie.types import Attempt, GoalStyle
+from baggie.types import Attempt, DrawnStyle
 
 
 class RegressionRecipe:
@@ -29,7 +29,7 @@ class RegressionRecipe:
     def __init__(
         self,
         attempts: Sequence[Attempt],
-        goal_style: GoalStyle,
+        goal_style: DrawnStyle,
         goal_color: tuple[int, int, int],
         weights: str | None,
     ) -> None:

@@ -79,13 +79,7 @@ def train(
     if accelerator.is_main_process:
         policy.save_pretrained(options.out)
         reference = options.data / CALIBRATION_FOLDER / REFERENCE_FILE
-        # A varied recording shows a table that no other scene has.
-        varied = (
-            reference.exists() and open_dataset(options.data).collection.get("scenery", "plain") != "plain"
-        )
-        if (
-            reference.exists() and not varied
-        ):  # so that whoever runs the policy notices that the camera has moved since
+        if reference.exists():  # so that whoever runs the policy notices that the camera has moved since
             shutil.copyfile(reference, options.out / REFERENCE_FILE)
         content = json.dumps(metrics, indent=2, allow_nan=False).encode()
         checkpoint.write_files(options.out, {METRICS: content})  # last: where it is, all is there

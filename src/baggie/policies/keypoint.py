@@ -58,8 +58,7 @@ class KeypointPolicy(LearnedPolicy):
 
     def reader(self) -> KeypointReader:
         """The network with all that is computed from it, in evaluation mode: what is exported."""
-        reader = KeypointReader(self.network, keypoint_plan.to_picture(self.view))
-        return reader.to(self.device).eval()
+        return KeypointReader(self.network, keypoint_plan.to_picture(self.view)).eval()
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
         """Run the network; see `keypoint_plan.Read`."""

@@ -25,10 +25,6 @@ class Keypoints(NamedTuple):
 
     xy: Tensor
     """`(B, K, 2)` metres in the robot's base frame."""
-    phase: Tensor
-    """`(B, 2, 2)`: phases (cos, sin) of the object's yaw at the pick, as a square and as a long thing (see `phase`);
-    each about as long as it is certain.
-    """
     jacobian: Tensor
     """`(B, K, 2, 2)`: d xy / d cells at the points."""
     logits: Tensor
@@ -41,6 +37,13 @@ class Keypoints(NamedTuple):
     def heat(self) -> Tensor:
         """`(B, K, h, w)`: each map sums to 1."""
         return heat_maps(self.logits)
+
+    def phases(self) -> Tensor:
+        """Phases (cos, sin) of the object's yaw at the pick, as a square and as a long thing: `(B, 2, 2)`, see `phase`.
+
+        Each is about as long as it is certain.
+        """
+        return phases_under(self.heat()[:, :1], self.field)
 
     def log_heat(self) -> Tensor:
         """`(B, K, h, w)`: the heat maps' logarithms."""
@@ -100,13 +103,12 @@ class KeypointNet(nn.Module):
         return self.heat(fine), self.phase(middle)
 
     def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
-        """Points, poses and phases from what `fields` gives."""
+        """Points and poses from what `fields` gives."""
         cells = self.locate(logits)
-        phase = phases_under(heat_maps(logits[:, :1].detach()), field)
         matrix = to_picture.unsqueeze(1)
         points = planar_map.apply(matrix, cells)
         jacobian = self.to_robot.jacobian(points) @ planar_map.jacobian(matrix, cells)
-        return Keypoints(self.to_robot(points), phase, jacobian, logits, cells, field)
+        return Keypoints(self.to_robot(points), jacobian, logits, cells, field)
 
     def locate(self, logits: Tensor) -> Tensor:
         """`(B, K, h, w)` -> `(B, K, 2)`: the points as (u, v) in cells."""

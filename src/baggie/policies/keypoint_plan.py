@@ -15,7 +15,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
 from baggie.policies.as_trained import as_trained
 from baggie.policies.view import View
-from baggie.types import Goal, GoalStyle, Image, Observation, PickPlace, Plan
+from baggie.types import DrawnStyle, Goal, Image, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal, region_mask
 
 Float32 = NDArray[np.float32]
@@ -34,8 +34,8 @@ _VIEW_SCALE = 4
 _POINTED_CELLS = 16.0
 """An object that is pointed at is looked for within so many cells: some 12 cm on a table."""
 _ANYWHERE = np.array([0.0, 0.0, 1e4], np.float32)
-_LONG = 1.25
-"""A goal is long when it is so many times longer than wide."""
+LONG = 1.25
+"""What is seen so many times longer than wide, an object or a goal, is long."""
 
 
 class Reading(NamedTuple):
@@ -67,7 +67,7 @@ class GoalInput:
 
     kind: Literal["region", "painted"] = "region"
     """`region`: as a fourth channel, however it is drawn; `painted`: in the picture's own colours, as published."""
-    style: GoalStyle = "solid"
+    style: DrawnStyle = "solid"
     color: tuple[int, int, int] = (0, 200, 0)
     """Style and RGB colour of painted goals."""
 
@@ -144,7 +144,7 @@ def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
     # Opposite sides point the same way modulo half a turn; of a long goal, the long ones outweigh the short ones.
     doubled = (length * np.exp(2j * direction)).sum() / length.sum()
     times_longer = (1 + abs(doubled)) / max(1 - abs(doubled), 1e-9)
-    long = symmetry == 2 and times_longer > _LONG
+    long = symmetry == 2 and times_longer > LONG
     folds = 2 if long else 4
     yaw = float(np.angle(doubled if long else (length * np.exp(4j * direction)).sum())) / folds
     turn = 2 * math.pi / folds

@@ -25,7 +25,8 @@ class KeypointReader(nn.Module):
         """`to_picture` `(3, 3)`: cells of the heat maps -> the normalised picture."""
         super().__init__()
         self.network = network
-        self.register_buffer("to_picture", torch.from_numpy(to_picture).float().unsqueeze(0))
+        device = network.to_robot.homography.device
+        self.register_buffer("to_picture", torch.from_numpy(to_picture).float().unsqueeze(0).to(device))
 
     def forward(self, images: Tensor, near: Tensor, corners: Tensor) -> tuple[Tensor, ...]:
         """Images `(1, C, H, W)` uint8; `near` `(3,)`: the object is within so many cells (last) of (u, v) in cells;
@@ -36,7 +37,7 @@ class KeypointReader(nn.Module):
         found = self.network.read(torch.cat([pick, logits[:, 1:]], dim=1), field, self.to_picture)
         heat = found.heat()
         share = (heat * (squared_distances(heat, found.cells) < _PEAK**2)).sum(dim=(-2, -1))
-        yaw, symmetry = _yaw(found.phase[0], found.jacobian[0, 0])
+        yaw, symmetry = _yaw(found.phases()[0], found.jacobian[0, 0])
         return (
             found.xy[0],
             yaw,

@@ -17,7 +17,7 @@ from baggie.policies import regression_plan
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18
-from baggie.types import Goal, GoalStyle, Image, Observation, Plan
+from baggie.types import DrawnStyle, Goal, Image, Observation, Plan
 
 
 class Regressor(nn.Module):
@@ -66,7 +66,7 @@ class RegressionPolicy(LearnedPolicy):
         network: RegressionNet,
         picture_size: tuple[int, int],
         cell: int,
-        goal_style: GoalStyle,
+        goal_style: DrawnStyle,
         goal_color: tuple[int, int, int],
     ) -> None:
         """Goals are drawn in the style and colour (RGB) it was trained with, whatever is asked."""

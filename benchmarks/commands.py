@@ -1,0 +1,40 @@
+"""What the experiments share that run `baggie` commands: running them, and putting what they wrote into a table."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def run(command: str) -> None:
+    """A `baggie` command, shown before it runs; ends the experiment with its exit status where it fails."""
+    from baggie.cli import DONE  # noqa: PLC0415 -- worker processes import this file
+    from baggie.cli import main as baggie  # noqa: PLC0415
+
+    print(f"$ baggie {command}", file=sys.stderr)
+    status = baggie(shlex.split(command))
+    if status != DONE:
+        sys.exit(status)
+
+
+def read(folder: Path) -> dict[str, Any]:
+    """The metrics in a folder."""
+    return dict(json.loads((folder / "metrics.json").read_text()))
+
+
+def spread(summary: dict[str, float]) -> str:
+    """Mean and worst."""
+    return f"{summary['mean']:.2f} ({summary['max']:.2f})"
+
+
+def rate(success: dict[str, float]) -> str:
+    """A success rate with its interval."""
+    return f"{100 * success['rate']:.0f}% of {success['n']} ({100 * success['low']:.0f} to {100 * success['high']:.0f})"
+
+
+def failures(metrics: dict[str, Any]) -> str:
+    """What failed, and how often."""
+    return ", ".join(f"{n} {cause}" for cause, n in metrics["failures"].items())
