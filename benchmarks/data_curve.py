@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from baggie.evaluation.results import provenance, write_results
+from baggie.learning.keypoint import KeypointRecipe
 from teaching import Lesson, teach_all
 
 COUNTS = (10, 25, 50, 100, 200, 400)
@@ -48,7 +49,7 @@ def main(options: Options) -> None:
     notes = (
         "Errors against the simulator's truth on the same 50 attempts, none of which any training saw; mean over sets "
         "of attempts that share none, in brackets the lowest and the highest mean."
-        " Every training takes 600 batches of 8."
+        f" Every training takes {KeypointRecipe.steps} batches of 8."
     )
     write_results(RESULTS / "data-curve", "How many attempts it takes", rows, provenance([0]), notes)
     draw({c: [errors[le.name] for (k, _), le in lessons.items() if k == c] for c in COUNTS})

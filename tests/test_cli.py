@@ -28,6 +28,8 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     [
         ["inspect", "nowhere"],
         ["train", "--data", "nowhere", "--out", "run"],
+        ["train", "--data", "nowhere", "--out", "run", "--new-looks", "2"],
+        ["train", "--data", "nowhere", "--out", "run", "--policy", "regression", "--backbone", "resnet18"],
         ["validate", "--policy", "nowhere", "--data", "nowhere", "--out", "out"],
         ["evaluate", "--policy", "nowhere", "--out", "out"],
         ["evaluate", "--policy", "oracle", "--task", "dance", "--out", "out"],

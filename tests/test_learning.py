@@ -15,8 +15,6 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
@@ -29,10 +27,10 @@ from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.labels import SYSTEMATIC_M, Disagreement
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
-from baggie.learning.samples import Changes, turned_yaw
+from baggie.learning.samples import Changes
 from baggie.learning.split import Split
 from baggie.learning.state import FILE
-from baggie.policies import KeypointPolicy, load_policy, phase, planar_map
+from baggie.policies import KeypointPolicy, load_policy, planar_map
 from baggie.policies.resnet import ResNet18
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
@@ -169,20 +167,6 @@ def test_warped_pictures_are_where_their_coordinates_say():
         found = apply_homography(to_picture, [(centre - 0.5) / 2])
         half_pixels.append(np.linalg.norm(normalized - found, axis=1).min() * SIZE[0] / 2)
     assert max(half_pixels) < 0.3  # pixels of the camera's picture
-
-
-@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.integers(0, 1000))
-def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
-    """Whatever the camera: the phase seen after is the phase seen before, plus that of the turn."""
-    rng = np.random.default_rng(seed)
-    jacobian = np.diag([0.002, -0.002]) + rng.normal(0, 2e-4, (2, 2))
-    after = torch.tensor(turned_yaw(yaw, angle, jacobian))
-    j = torch.from_numpy(jacobian)
-    cos, sin = phase.phase_of(torch.tensor(yaw, dtype=torch.float64), j, phase.LONG).tolist()
-    turned_cos, turned_sin = phase.phase_of(after.double(), j, phase.LONG).tolist()
-    assert math.remainder(
-        math.atan2(turned_sin, turned_cos) - math.atan2(sin, cos) - 2 * angle, 2 * math.pi
-    ) == pytest.approx(0, abs=1e-5)
 
 
 def test_goals_are_exchanged_between_attempts():
@@ -343,6 +327,29 @@ def test_a_device_that_is_not_there(tmp_path):
 def test_weights_are_for_a_resnet(tmp_path):
     with pytest.raises(BaggieError, match="add --backbone resnet18"):
         train(options(tmp_path, weights="some/where"), ATTEMPTS)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, 25, math.nan])
+def test_new_looks_are_a_share(tmp_path, share):
+    with pytest.raises(BaggieError, match=f"expected --new-looks to be a share .* got {share}") as error:
+        train(options(tmp_path, new_looks=share), ATTEMPTS)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("changes", [{"backbone": "resnet18"}, {"goal_input": "painted"}, {"new_looks": 0.0}])
+def test_what_the_published_recipe_would_ignore_is_refused(tmp_path, changes):
+    ((name, given),) = changes.items()
+    message = f"expected no --{name.replace('_', '-')} with --policy regression, .* got {given}"
+    with pytest.raises(BaggieError, match=message) as error:
+        train(options(tmp_path, policy="regression", **changes), ATTEMPTS)
+    assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_published_recipe_takes_goals_of_any_look_and_published_weights(tmp_path):
+    options(
+        tmp_path, policy="regression", goal_style="outline", goal_color=(1, 2, 3), weights="some/where"
+    ).check()
 
 
 def test_a_keypoint_policy_starts_from_published_weights(tmp_path):

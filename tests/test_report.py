@@ -3,23 +3,29 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 
 import test_evaluation_closed_loop as closed_loop
 import test_evaluation_validate as held_out
+from baggie.data import DatasetWriter
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as validation
 from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.results import provenance, write_json, write_results
 from baggie.evaluation.validate import ValidateOptions, validate
+from baggie.geometry import PlanarPose
+from synthetic import TASK, make_attempt
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
 from test_evaluation_validate import recording  # noqa: F401 -- a fixture
 
-SECTIONS = ("video", "numbers", "closed-loop", "validation", "heat", "learning", "origin")
+SECTIONS = ("video", "numbers", "closed-loop", "validation", "heat", "learning", "labels", "origin")
 VOID = {"meta", "img", "link", "br"}
 
 
@@ -51,6 +57,12 @@ class Page(HTMLParser):
         self.words.append(data)
 
 
+def fused(*doubtful):
+    """What a training says of its labels; `doubtful` are (attempt, what, mm)."""
+    listed = [{"attempt_id": number, "what": what, "off_mm": off} for number, what, off in doubtful]
+    return {"pictures_with_two_opinions": 12, "systematic_mm": 1.26, "doubtful": listed}
+
+
 @pytest.fixture
 def runs(tmp_path, recording, monkeypatch, in_process):  # noqa: F811 -- fixtures
     """A trained policy, validated and evaluated, and a baseline, evaluated."""
@@ -60,7 +72,8 @@ def runs(tmp_path, recording, monkeypatch, in_process):  # noqa: F811 -- fixture
     run.mkdir(parents=True)
     config = {"policy": "keypoint", "training": {"data": "x", "split": {"train": [0], "val": [4, 5, 6]}}}
     (run / "config.yaml").write_text(yaml.safe_dump(config))
-    write_json(run / "metrics.json", {"train_s": 187.0, "provenance": provenance([0])})
+    metrics = {"train_s": 187.0, "labels_fused": fused(), "provenance": provenance([0])}
+    write_json(run / "metrics.json", metrics)
     with SummaryWriter(str(run)) as board:
         for step in range(10):
             board.add_scalar("train/loss", 1 / (1 + step), step)
@@ -122,6 +135,54 @@ def test_two_runs_of_one_policy_are_told_apart(tmp_path, runs):
     words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
     assert "keypoint (first)" in words
     assert "keypoint (keypoint)" in words  # evaluated under its name of then
+
+
+def record_with_a_wrong_pick(folder, wrong, off_m):
+    rng = np.random.default_rng(0)
+    settings = {"task": TASK, "picture_size": held_out.SIZE, "collection": {}}
+    with DatasetWriter(folder, robot_type="drawn", **settings) as writer:
+        for attempt_id in range(12):
+            attempt = make_attempt(attempt_id, rng, held_out.SIZE, depth=False)
+            if attempt_id == wrong:
+                executed = attempt.outcome.executed
+                pick = PlanarPose(executed.pick.x, executed.pick.y + off_m, executed.pick.yaw)
+                outcome = replace(attempt.outcome, executed=replace(executed, pick=pick))
+                attempt = replace(attempt, outcome=outcome)
+            writer.append(attempt)
+
+
+def trained(folder, data, labels):
+    folder.mkdir(parents=True)
+    config = {"policy": folder.name, "training": {"data": str(data), "split": {"train": [], "val": []}}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    write_json(folder / "metrics.json", {"labels_fused": labels})
+
+
+def cross_in(uri):
+    """From the middle of the close-up, where the bag was seen, to the cross: (u, v), pixels."""
+    content = np.frombuffer(base64.b64decode(uri.split(",")[1]), np.uint8)
+    close_up = cv2.imdecode(content, cv2.IMREAD_COLOR_RGB)[:, -180:].astype(int)
+    magenta = close_up[..., 2] - close_up[..., 1] > 40  # nothing else in the picture has more blue than green
+    return np.median(np.argwhere(magenta), axis=0)[::-1] - (np.array([180, 360]) - 1) / 2
+
+
+def test_doubtful_labels_are_listed_with_what_the_eye_and_the_arm_say(tmp_path):
+    record_with_a_wrong_pick(tmp_path / "bags", wrong=5, off_m=0.03)
+    doubtful = (5, "pick", 29.96), (7, "place", 9.04), (99, "pick", 8.0)
+    trained(tmp_path / "runs/keypoint", tmp_path / "bags", fused(*doubtful))
+    trained(tmp_path / "runs/moved", tmp_path / "gone", fused((5, "pick", 29.96)))
+    trained(tmp_path / "runs/sure", tmp_path / "bags", fused())
+    page = Page(report(ReportOptions((tmp_path / "runs",), tmp_path / "r.html")).read_text())
+    words = " ".join(" ".join(page.words).split())
+    assert "attempt label off by picture 5 pick 30.0 mm 7 place 9.0 mm 99 pick 8.0 mm moved" in words
+    assert "12 pictures were labelled twice" in words
+    assert "by 1.3 mm" in words
+    assert f"their recording {tmp_path / 'gone'} is not there. attempt label off by 5 pick 30.0 mm" in words
+    assert words.count("No label is doubtful.") == 1
+    wrong, right = [source for source in page.sources if source.startswith("data:image/jpeg")]  # 99 has none
+    off = [cross_in(uri) for uri in (wrong, right)]
+    assert np.linalg.norm(off[0]) > 4 * np.linalg.norm(off[1])
+    assert off[0][0] < -20  # towards +y, which is to the left in the picture
 
 
 def test_nothing_to_report_and_broken_results_are_told(tmp_path, runs):

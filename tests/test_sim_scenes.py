@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator
 from contextlib import closing
+from typing import Any
 
 import cv2
 import mujoco
@@ -16,6 +17,7 @@ from baggie.sim.cell import draw_cell
 from baggie.sim.distractors import Distractor
 from baggie.sim.scene import build_model
 from baggie.sim.textures import cloth
+from baggie.sim.variety import Scenery
 from baggie.sim.world import World
 from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag
@@ -139,6 +141,25 @@ def test_a_scene_is_the_same_to_the_byte_whatever_came_before(unseen: SimulatedW
     np.testing.assert_array_equal(first[0], again[0])
     assert first[1:] == again[1:]
     assert first[2] != other[2]
+
+
+@pytest.mark.parametrize("scenery", ["plain", "two-bags"])
+def test_opening_builds_one_world_and_shows_its_first_scene(
+    scenery: Scenery, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = []
+
+    def counted(*args: Any) -> World:
+        built.append(World(*args))
+        return built[-1]
+
+    monkeypatch.setattr("baggie.workcell.simulated.World", counted)
+    with closing(open_simulated(0, scenery=scenery)) as cell:
+        assert built == [cell.world]
+        opened = cell.look().color
+        cell.reset((0,))
+        assert len(built) == (1 if scenery == "plain" else 2)
+        np.testing.assert_array_equal(cell.look().color, opened)
 
 
 def test_settings_arm_and_outline_follow_the_bag_at_hand(unseen: SimulatedWorkcell) -> None:

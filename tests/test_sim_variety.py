@@ -1,5 +1,6 @@
 """The laws of sceneries, without a simulator."""
 
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -72,13 +73,19 @@ def test_a_varied_bag_is_one_that_the_table_allows(seed: int) -> None:
     assert hue_distance(hue_of(bag.accent), hue_of(bag.color)) < 3  # a shade: the colour mask sees one bag
 
 
-@given(seeds)
-def test_an_unseen_bag_is_none_that_a_varied_collection_shows(seed: int) -> None:
-    bag = drawn("unseen", seed).bag
+@given(st.sampled_from(["unseen", "unseen-bag"]), seeds)
+def test_an_unseen_bag_is_none_that_a_varied_collection_shows(scenery: Scenery, seed: int) -> None:
+    bag = drawn(scenery, seed).bag
     assert in_bands(hue_of(bag.color), UNSEEN_HUES)
     assert not in_bands(hue_of(bag.color), VARIED_HUES)
     assert 0.095 <= size_of(bag) <= 0.105 or 0.13 <= size_of(bag) <= 0.145
     assert bag.shape != "long" or 1.5 <= bag.length_m / bag.width_m <= 1.8 + 1e-9
+
+
+@given(seeds)
+def test_nothing_but_the_bag_is_new_about_an_unseen_bag(seed: int) -> None:
+    scene, plain = drawn("unseen-bag", seed), drawn("plain", seed)
+    assert replace(scene, bag=plain.bag) == plain
 
 
 @given(st.sampled_from(["varied", "unseen"]), seeds)

@@ -123,7 +123,11 @@ def references(attempt: Attempt) -> dict[str, PickPlace]:
 
 
 def action_errors(planned: PickPlace, right: PickPlace) -> dict[str, float]:
-    """How far an action is off; units in the keys."""
+    """How far an action is off; units in the keys.
+
+    Yaws are compared modulo a quarter turn, for a long object too, where half a turn would be right: an attempt does
+    not say which shape its object has, and around a square with soft corners a box may be as long as around a long one.
+    """
     return {
         "pick_error_cm": position_error_cm(planned.pick, right.pick),
         "place_error_cm": position_error_cm(planned.place, right.place),

@@ -122,9 +122,14 @@ def heat_over(image: Image, region: Region, views: Mapping[str, NDArray[np.float
 def save_jpeg(path: Path, image: Image) -> None:
     """Write a JPEG of `(H, W, 3)` RGB."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(jpeg(image))
+
+
+def jpeg(image: Image) -> bytes:
+    """What a JPEG file of `(H, W, 3)` RGB holds."""
     ok, content = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert ok
-    path.write_bytes(content.tobytes())
+    return bytes(content.tobytes())
 
 
 def save_mp4(path: Path, frames: Sequence[Image], fps: float = 20) -> None:

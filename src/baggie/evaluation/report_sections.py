@@ -11,6 +11,7 @@ import numpy as np
 from baggie.evaluation import report_figures as figures
 from baggie.evaluation.report_closed_loop import WORST, closed_loop, videos
 from baggie.evaluation.report_data import Evaluation, Results, Series, Training, Validation
+from baggie.evaluation.report_labels import labels
 from baggie.evaluation.report_numbers import headline_tiles, numbers
 from baggie.evaluation.report_values import Content, data_uri, data_uris, duration, figure
 from baggie.evaluation.results import origin_lines, provenance
@@ -27,6 +28,7 @@ def content(results: Results) -> Content:
         "validation": _validation(results.validations, main, colors),
         "heat": _heat(results, main),
         "learning": _learning(results.trainings),
+        "labels": labels(results.trainings),
     }
     names = {
         "videos": ("video", "Video"),
@@ -35,6 +37,7 @@ def content(results: Results) -> Content:
         "validation": ("validation", "Held-out attempts"),
         "heat": ("heat", "Heat maps"),
         "learning": ("learning", "Learning"),
+        "labels": ("labels", "Labels"),
         "origin": ("origin", "How it was made"),
     }
     return {

@@ -34,7 +34,12 @@ def data_uris(paths: Sequence[Path]) -> list[str]:
 
 def data_uri(path: Path) -> str:
     """A picture or video as part of the page."""
-    return f"data:{_MIME[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return embedded(path.read_bytes(), path.suffix)
+
+
+def embedded(content: bytes, suffix: str) -> str:
+    """The same from what a file with this suffix would hold."""
+    return f"data:{_MIME[suffix]};base64,{base64.b64encode(content).decode()}"
 
 
 def percent(rate: dict[str, Any]) -> str:

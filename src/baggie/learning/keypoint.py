@@ -113,21 +113,21 @@ class KeypointRecipe:
 
     def batch(self, rng: np.random.Generator) -> Batch:
         """Inputs `images` `(B, C, H, W)` uint8 and `to_picture` `(B, 3, 3)`; labels `xy` `(B, 2, 2)` with `weight`
-        `(B, 2)`, `yaw` of the pick `(B,)` with `yaw_weight` `(B,)`, `long` `(B,)`; and about where the labels are in
-        the heat maps, `cells` `(B, 2, 2)`.
+        `(B, 2)`, `yaw` of the pick `(B,)` with `yaw_weight` `(B,)`, lengths of its `phases` `(B, 2)`; and about
+        where the labels are in the heat maps, `cells` `(B, 2, 2)`.
         """
         pick_from, place_from = self.pairs(rng)
         samples = [self.samples.draw(rng, i, j) for i, j in zip(pick_from, place_from, strict=True)]
-        images, to_picture, cells, yaw = zip(*samples, strict=True)
+        images, to_picture, cells, shapes = zip(*samples, strict=True)
         labels = self.labels
         numbers = {
             "to_picture": np.stack(to_picture),
             "cells": np.stack(cells),
             "xy": np.stack([labels.xy[pick_from, 0], labels.xy[place_from, 1]], axis=1),
             "weight": np.stack([labels.weight[pick_from, 0], labels.weight[place_from, 1]], axis=1),
-            "yaw": np.array(yaw),
+            "yaw": np.array([shape.yaw for shape in shapes]),
             "yaw_weight": labels.yaw_weight[pick_from],
-            "long": labels.long[pick_from],
+            "phases": np.array([shape.phases for shape in shapes]),
         }
         tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
         return {"images": torch.from_numpy(np.stack(images)), **tensors}
@@ -176,8 +176,11 @@ class KeypointRecipe:
 
 
 def _phase_loss(found: Tensor, jacobian: Tensor, batch: Batch) -> Tensor:
-    """Squared distances of both phases `(B, 2, 2)`; that of a long thing is of no length where the thing is square."""
+    """Squared distances of both phases `(B, 2, 2)`; that of a long thing is of no length where the thing is square, and
+    both where it is round.
+    """
     square = phase.phase_of(batch["yaw"], jacobian, phase.SQUARE)
-    long = phase.phase_of(batch["yaw"], jacobian, phase.LONG) * batch["long"].unsqueeze(-1)
-    off = (found - torch.stack([square, long], dim=1)).square().sum(dim=(1, 2))
+    long = phase.phase_of(batch["yaw"], jacobian, phase.LONG)
+    wanted = batch["phases"].unsqueeze(-1) * torch.stack([square, long], dim=1)
+    off = (found - wanted).square().sum(dim=(1, 2))
     return (batch["yaw_weight"] * off).mean()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from baggie.errors import BaggieError
 from baggie.policies.features import Backbone
 from baggie.types import DrawnStyle
 
@@ -51,3 +52,26 @@ class TrainOptions:
     """keypoint: the share of pictures with cloth, table and clutter drawn anew, to know bags of any colour."""
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""
+
+    def check(self) -> None:
+        """Raise `BaggieError` for what is out of range, does not go together, or would be ignored."""
+        if not 0 <= self.new_looks <= 1:
+            raise BaggieError(
+                f"expected --new-looks to be a share of the pictures, 0 to 1, got {self.new_looks}; "
+                "give 0.25 for a quarter of them"
+            )
+        if self.policy == "regression":
+            self._check_default("goal_input", "backbone", "new_looks")
+        elif self.weights is not None and self.backbone != "resnet18":
+            raise BaggieError(
+                f"--weights are those of a ResNet-18, but keypoint's backbone is {self.backbone}: "
+                "add --backbone resnet18"
+            )
+
+    def _check_default(self, *names: str) -> None:
+        for name in names:
+            if (given := getattr(self, name)) != getattr(TrainOptions, name):
+                raise BaggieError(
+                    f"expected no --{name.replace('_', '-')} with --policy {self.policy}, which is kept as published, "
+                    f"got {given}; leave it out, or take --policy keypoint"
+                )

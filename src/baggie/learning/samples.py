@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -12,16 +11,17 @@ import numpy as np
 import torch
 
 from baggie.data.annotation import goal_of
-from baggie.data.appearance import object_mask, random_look, turned, without_object
+from baggie.data.appearance import object_mask, random_look, without_object
 from baggie.data.augmentation import WarpRange, random_light, random_warp
+from baggie.data.shape import Shape, as_it_is, reshaped, turned, with_shape
 from baggie.geometry import FloatArray, apply_homography
 from baggie.learning.labels import Labels
 from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.keypoint_plan import CELLS_TO_INPUT
+from baggie.policies.keypoint_plan import CELLS_TO_INPUT, LONG
 from baggie.types import Attempt, Goal, Image
 
-_TURNED = 0.5
-"""The share of objects that are turned on the spot, by up to a quarter turn either way."""
+_RESHAPED = 0.5
+"""The share of objects with new looks that get another shape."""
 _APART = 1.5
 """Of a goal's size: a painted one nearer than this to the object would hide it."""
 
@@ -31,7 +31,7 @@ class Changes:
     """What is changed in pictures."""
 
     new_looks: float = 0.25
-    """The share that is given another cloth, table and clutter."""
+    """The share that is given another cloth, shape, table and clutter."""
     warps: WarpRange = field(default_factory=WarpRange)
 
 
@@ -44,8 +44,8 @@ class Sample(NamedTuple):
     """`(3, 3)`: its cells -> the normalised picture."""
     cells: FloatArray
     """`(2, 2)`: about where pick and place are, in cells (u, v)."""
-    yaw: float
-    """Of the object on the table, radians."""
+    shape: Shape
+    """Of the object."""
 
 
 class Samples:
@@ -60,7 +60,8 @@ class Samples:
     ) -> None:
         """`policy`: says what its network sees, and has its map fitted to the labels."""
         view, to_robot = policy.view, policy.network.to_robot
-        self._view, self._goal_input, self._changes, self._yaw = view, policy.goal_input, changes, labels.yaw
+        self._view, self._goal_input, self._changes = view, policy.goal_input, changes
+        self._yaw, self._long = labels.yaw, labels.long
         self._pictures = np.stack([view.cut(attempt.before.color) for attempt in attempts])
         boxes = [view.to_input(attempt.box_before) for attempt in attempts]
         self._masks = [
@@ -99,7 +100,7 @@ class Samples:
         size, goal = self._view.size, self._goals[place_from]
         points = np.stack([self._points[pick_from, 0], self._points[place_from, 1]])
         warp = random_warp(rng, size, points, self._changes.warps)
-        picture, yaw = self._changed(rng, pick_from)
+        picture, shape = self._changed(rng, pick_from)
         if self._goal_input.kind == "painted":  # first: light and warp change a card as they change the table
             picture = self._goal_input.network_input(picture, goal).transpose(1, 2, 0)
         picture = np.asarray(cv2.LUT(picture, random_light(rng)[:, None]), np.uint8)
@@ -113,26 +114,20 @@ class Samples:
             image = self._goal_input.network_input(np.asarray(warped, np.uint8), moved)
         to_picture = self._from_input @ np.linalg.inv(warp) @ CELLS_TO_INPUT
         cells = apply_homography(np.linalg.inv(CELLS_TO_INPUT) @ warp, points)
-        return Sample(image, to_picture / to_picture[2, 2], cells, yaw)
+        return Sample(image, to_picture / to_picture[2, 2], cells, shape)
 
-    def _changed(self, rng: np.random.Generator, number: int) -> tuple[Image, float]:
-        """A picture with its object turned or looking otherwise, and the object's yaw then."""
+    def _changed(self, rng: np.random.Generator, number: int) -> tuple[Image, Shape]:
+        """A picture with its object turned, of another shape or looking otherwise, and the object's shape then."""
         picture, mask, table = self._pictures[number], self._masks[number], self._tables[number]
-        yaw = float(self._yaw[number])
+        before = shape = as_it_is(float(self._yaw[number]), bool(self._long[number]))
         if mask is None or table is None:
-            return picture, yaw
-        if rng.random() < _TURNED:
-            angle = rng.uniform(-math.pi / 2, math.pi / 2)
-            picture, mask = turned(picture, table, mask, self._points[number, 0], angle)
-            yaw = turned_yaw(yaw, angle, self._jacobian[number])
-        if rng.random() < self._changes.new_looks:
-            picture = random_look(rng, picture, mask)
-        return picture, yaw
-
-
-def turned_yaw(yaw: float, angle: float, jacobian: FloatArray) -> float:
-    """The yaw on the table, radians, of what is turned in the picture by `angle`; `jacobian` from picture to table."""
-    c, s = math.cos(angle), math.sin(angle)
-    direction = np.linalg.solve(jacobian, [math.cos(yaw), math.sin(yaw)])
-    x, y = jacobian @ np.array([[c, -s], [s, c]]) @ direction
-    return math.atan2(y, x)
+            return picture, shape
+        new_look = rng.random() < self._changes.new_looks
+        if new_look and rng.random() < _RESHAPED:
+            shape = reshaped(rng, shape, self._jacobian[number], LONG)
+        shape = turned(rng, shape, self._jacobian[number])
+        if shape is not before:
+            picture, mask = with_shape(picture, table, mask, self._points[number, 0], shape)
+        if new_look:
+            picture = random_look(rng, picture, table, mask)
+        return picture, shape

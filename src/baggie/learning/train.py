@@ -46,6 +46,7 @@ def train(
     attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
     KeyboardInterrupt, whose message says how to go on, when stopped.
     """
+    options.check()
     accelerator = _accelerator(options.device)
     split = Split.of(open_dataset(options.data) if attempts is None else attempts, options.train, options.val)
     torch.manual_seed(options.seed)
@@ -96,11 +97,6 @@ def _accelerator(device: str) -> Accelerator:
 def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
     if options.policy == "regression":
         return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
-    if options.weights is not None and options.backbone != "resnet18":
-        raise BaggieError(
-            f"--weights are those of a ResNet-18, but keypoint's backbone is {options.backbone}: "
-            "add --backbone resnet18"
-        )
     goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
     return KeypointRecipe(
         attempts, KeypointOptions(options.backbone, options.weights, goal_input, Changes(options.new_looks))

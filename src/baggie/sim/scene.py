@@ -53,7 +53,7 @@ _WORLD = """
     <global offwidth="1280" offheight="720"/>
     <quality shadowsize="1024" offsamples="0"/>
     <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.15 0.15 0.15" specular="0 0 0"/>
-    <map znear="0.02" zfar="20"/>
+    <map znear="0.1" zfar="20"/>
   </visual>
   <asset>
     <texture name="room" type="skybox" builtin="gradient" width="128" height="128"

@@ -18,10 +18,11 @@ blue, green; grain 0.12..0.22 | as plain |
 | distractors in all | 0 | 0 | 0..4 | 1..5 | 0 |
 | second bag | | | | | of another hue, 18 cm away |
 
-A size is the side of a square bag, the diameter of a round one, the side of the square with a long one's area. What
-varies from one picture to the next, exposure and noise, varies in all. Hues: distractors and a
-second bag are at least 60 degrees from the bag's and 35 from those of the goal card (133) and the calibration paddle
-(307), or grey: the colours by which bag, goal and paddle are found mean one thing each.
+A size is the side of a square bag, the diameter of a round one, the side of the square with a long one's area. In
+`unseen-bag` the bag is as in `unseen` and all else as in `plain`. What varies from one picture to the next, exposure
+and noise, varies in all. Hues: distractors and a second bag are at least 60 degrees from the bag's and 35 from those of
+the goal card (133) and the calibration paddle (307), or grey: the colours by which bag, goal and paddle are found mean
+one thing each.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from baggie.sim.distractors import Distractor
 from baggie.sim.lamps import UNSEEN, USUAL, draw_light
 from baggie.sim.sensor import Exposure
 
-Scenery = Literal["plain", "light", "varied", "unseen", "two-bags"]
+Scenery = Literal["plain", "light", "varied", "unseen-bag", "unseen", "two-bags"]
 
 VARIED_HUES: Hues = ((345.0, 372.0), (42.0, 58.0), (205.0, 245.0), (262.0, 282.0))
 UNSEEN_HUES: Hues = ((20.0, 34.0), (68.0, 92.0), (172.0, 195.0), (292.0, 330.0))
@@ -100,6 +101,8 @@ def draw_variety(
     if scenery == "two-bags":
         hue = random_hue(rng, ALL_HUES, unlike=hue_of(bag.color))
         return Variety(cell, bag, second=replace(bag, color=_cloth_color(hue, rng)))
+    if scenery == "unseen-bag":
+        return Variety(cell, _draw_bag(_UNSEEN, rng))
     usual = scenery == "varied"
     drawn = _draw_bag(_VARIED if usual else _UNSEEN, rng)
     table = _usual_table(cell, rng) if usual else _unseen_table(cell, rng)

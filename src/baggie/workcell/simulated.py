@@ -15,13 +15,16 @@ from baggie.sim.bag import BagParameters
 from baggie.sim.cell import draw_cell
 from baggie.sim.layout import lay_bags
 from baggie.sim.renderer import Film
-from baggie.sim.variety import Scenery, draw_variety
+from baggie.sim.variety import Scenery, Variety, draw_variety
 from baggie.sim.world import World
 from baggie.types import Image
 from baggie.vision.targets import Target
 from baggie.workcell.simulated_arm import SimulatedArm
 from baggie.workcell.simulated_camera import SimulatedCamera
 from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+_FIRST = (0,)
+"""Names the scene a workcell opens with."""
 
 
 class SimulatedWorkcell(Workcell):
@@ -39,12 +42,15 @@ class SimulatedWorkcell(Workcell):
     ):
         self.scenery: Scenery = scenery
         self._plain = draw_cell(cell), bag or BagParameters()
-        self.world = World(*self._plain)
+        settings = settings or _describing(self._plain[1], WorkcellSettings(name=f"sim cell {cell}"))
+        first = draw_variety(scenery, *self._plain, settings.workspace, _FIRST)
+        self.world = _build(first)
         self._simulated_arm = SimulatedArm(self.world)
-        self._simulated_camera = SimulatedCamera(self.world)
-        settings = settings or _describing(self.world.bag, WorkcellSettings(name=f"sim cell {cell}"))
+        self._simulated_camera = SimulatedCamera(self.world, first.exposure)
+        if scenery != "plain":
+            settings = _describing(first.bag, settings)
         super().__init__(self._simulated_arm, self._simulated_camera, settings)
-        self.reset((0,))
+        self._begin(_FIRST)
 
     def reset(self, seed: Sequence[int]) -> None:
         """A new scene, the one these integers name: the bag anywhere in the workspace at any angle, arm parked.
@@ -53,6 +59,18 @@ class SimulatedWorkcell(Workcell):
         """
         if self.scenery != "plain":
             self._set_the_scene(seed)
+        self._begin(seed)
+
+    def _set_the_scene(self, seed: Sequence[int]) -> None:
+        """Move into the world that these integers name."""
+        variety = draw_variety(self.scenery, *self._plain, self.settings.workspace, seed)
+        self.world = _build(variety)
+        self._simulated_arm.enter(self.world)
+        self._simulated_camera.enter(self.world, variety.exposure)
+        self.settings = _describing(variety.bag, self.settings)
+
+    def _begin(self, seed: Sequence[int]) -> None:
+        """Lay the bags of the world at hand where these integers say, all else cleared away."""
         self._rng = np.random.default_rng(list(seed))
         self._simulated_camera.reseed(self._rng.spawn(1)[0])
         self.show_paddle(False)
@@ -64,13 +82,6 @@ class SimulatedWorkcell(Workcell):
         self.world.reset(bag, second)
         self._simulated_arm.reset()
         self.arm.park()
-
-    def _set_the_scene(self, seed: Sequence[int]) -> None:
-        variety = draw_variety(self.scenery, *self._plain, self.settings.workspace, seed)
-        self.world = World(variety.cell, variety.bag, variety.second, variety.distractors)
-        self._simulated_arm.enter(self.world)
-        self._simulated_camera.enter(self.world, variety.exposure)
-        self.settings = _describing(variety.bag, self.settings)
 
     def clock(self) -> float:
         """Seconds of simulated time since the last reset."""
@@ -179,6 +190,10 @@ class SimulatedWorkcell(Workcell):
                 f"expected a plain workcell to bump, got the scenery {self.scenery!r}, which every reset builds anew; "
                 "open it with scenery='plain'"
             )
+
+
+def _build(variety: Variety) -> World:
+    return World(variety.cell, variety.bag, variety.second, variety.distractors)
 
 
 def _describing(bag: BagParameters, settings: WorkcellSettings) -> WorkcellSettings:

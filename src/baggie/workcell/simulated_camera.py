@@ -16,12 +16,13 @@ from baggie.types import Intrinsics, Observation
 class SimulatedCamera:
     """The overhead colour and depth camera, with exposure and light that drift."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, usual: Exposure) -> None:
+        """`usual`: what exposures drift about."""
         self.name = f"simulated camera of cell {world.cell.number}"
         self.size = PICTURE_SIZE
         self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
         self._renderer = CameraRenderer(world)
-        self._usual = Exposure()
+        self._usual = usual
         self._rng = np.random.default_rng()
 
     def enter(self, world: World, usual: Exposure) -> None:
