@@ -111,7 +111,7 @@ class Options:
     recordings: Path = Path("runs/recordings")
     """Holds a recording `cell-N` of each cell."""
     runs: Path = Path("runs/ablations")
-    cells: tuple[int, ...] = (0, 2, 4)
+    cells: tuple[int, ...] = (5, 6, 7)
     steps: int | None = None
 
 

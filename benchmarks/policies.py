@@ -37,7 +37,8 @@ class Options:
     """Holds a recording `cell-N` of each cell, of at least 250 successful attempts."""
     runs: Path = Path("runs/policies")
     """Where the training runs go."""
-    cells: tuple[int, ...] = (0, 1, 2, 3, 4)
+    cells: tuple[int, ...] = (5, 6, 7, 8, 9)
+    """The recipe was made while looking at errors in cells 0 to 4; in these nobody looked before it was finished."""
     seed: int = 0
     """Of training and of the scenes."""
     episodes: int = 100
@@ -60,7 +61,8 @@ def main(options: Options) -> None:
         f"{len(options.cells)} cells: the mean of the cells' means, their lowest and highest in brackets, and the "
         "worst of all attempts. `regression` by the full published recipe in the first cell only. The closed loop runs "
         "in the first cell on scenes that no collection can produce; in brackets Wilson's 95% interval. The published "
-        "figures are errors on real pictures, against the poses the arm was at."
+        "figures are errors on real pictures, against the poses the arm was at. The recipe of `keypoint` was made "
+        "while looking at errors in cells 0 to 4; these cells are others."
     )
     origin = provenance([options.seed])
     write_results(RESULTS / "policies", "Policies in several cells", [*rows, PUBLISHED], origin, notes)
