@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -183,6 +184,16 @@ def test_doubtful_labels_are_listed_with_what_the_eye_and_the_arm_say(tmp_path):
     off = [cross_in(uri) for uri in (wrong, right)]
     assert np.linalg.norm(off[0]) > 4 * np.linalg.norm(off[1])
     assert off[0][0] < -20  # towards +y, which is to the left in the picture
+
+
+@pytest.mark.parametrize("folder", ["keypoint", "keypoint/validation"])
+def test_results_of_two_runs_with_one_name_are_not_mixed(tmp_path, runs, folder):
+    (tmp_path / "elsewhere/keypoint").mkdir(parents=True)
+    copy = shutil.copytree(tmp_path / "runs" / folder, tmp_path / "elsewhere" / folder, dirs_exist_ok=True)
+    with pytest.raises(
+        BaggieError, match=f"{copy} and {tmp_path}/runs/{folder} are both of a run called keypoint"
+    ):
+        report(ReportOptions((tmp_path / "runs", tmp_path / "elsewhere"), tmp_path / "r.html"))
 
 
 def test_nothing_to_report_and_broken_results_are_told(tmp_path, runs):

@@ -129,7 +129,8 @@ Found = TypeVar("Found", Training, Validation, Evaluation)
 def gather(folders: Sequence[Path]) -> Results:
     """Read the results in these folders and below them.
 
-    Raises `BaggieError` when a folder is missing or holds none, `DataError` when a file of theirs is broken.
+    Raises `BaggieError` when a folder is missing or holds none, or when two runs go by one name; `DataError` when a
+    file of theirs is broken.
     """
     for folder in folders:
         if not folder.is_dir():
@@ -139,6 +140,8 @@ def gather(folders: Sequence[Path]) -> Results:
     trainings = _read(folders, "config.yaml", _training)
     validations = _read(folders, "predictions.json", _validation)
     evaluations = _read(folders, "episodes.jsonl", _evaluation)
+    _check_told_apart(trainings)
+    _check_told_apart(validations)
     runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations).items()}
     if not runs:
         names = ", ".join(map(str, folders))
@@ -155,6 +158,18 @@ def gather(folders: Sequence[Path]) -> Results:
         return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
 
     return Results(named(trainings), named(validations), told_apart(named(evaluations)))
+
+
+def _check_told_apart(items: Sequence[Training | Validation]) -> None:
+    """What was trained and what was tested are put together by policy and run: each may be there once."""
+    seen: dict[tuple[str, str], Path] = {}
+    for item in items:
+        other = seen.setdefault((item.policy, item.run), item.folder)
+        if other != item.folder:
+            raise BaggieError(
+                f"expected every run of {item.policy} to have a name of its own, {other} and {item.folder} are both of "
+                f"a run called {item.run}; report one of them, or rename its folder before it is tested"
+            )
 
 
 def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | None]) -> list[Found]:
