@@ -29,7 +29,7 @@ bench: $(STAMP) gl ## tables of speed and memory
 
 results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: many hours on two cores
 	$(BIN)/python benchmarks/collection.py --out runs/recording
-	for cell in 0 6 7 8 9; do \
+	for cell in 0 6 7 8 9 10 11 12 13 14; do \
 	    $(BIN)/baggie collect --attempts 260 --seed $$cell --cell $$cell --out runs/recordings/cell-$$cell || exit; done
 	$(BIN)/baggie collect --attempts 460 --seed 5 --cell 5 --out runs/recordings/cell-5
 	$(BIN)/baggie collect --scenery varied --attempts 260 --seed 5 --cell 0 --out runs/recordings/varied-0

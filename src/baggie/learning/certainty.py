@@ -17,6 +17,10 @@ from baggie.types import Attempt
 
 COVERAGE = 0.9
 """How often the truth is to be within the radius."""
+SEEN_M = 0.001
+"""How far the middle of what is seen of a soft object is from its own, another way in every picture.
+
+A dent on one side moves the outline's middle, for the collector's eye and for the network alike."""
 _FEWEST = 10
 """Attempts without which nothing is said: a 90% radius needs at least nine."""
 
@@ -36,7 +40,8 @@ def calibrate(
     Picks are compared with labels half-way between the two opinions there are, as those it learned from. What both have
     wrong alike no held-out label shows, and how far they are apart says nothing of it: of two independent errors the
     mean does not depend on the difference. Each kind of label may be off by `SYSTEMATIC_M`, so their mean by that over
-    √2; √(ln 10) times that holds 90% of a round normal distribution, and is added in quadrature.
+    √2, and what is seen by `SEEN_M`; √(ln 10) times both in quadrature holds 90% of a round normal distribution, and is
+    added in quadrature.
     """
     radius = policy.network.radius
     radius.floor_m.zero_()
@@ -48,7 +53,8 @@ def calibrate(
     rank = min(math.ceil(COVERAGE * (len(ratios) + 1)), len(ratios))
     found = np.sort(np.array(ratios), axis=0)[rank - 1]
     radius.times_spread.copy_(torch.from_numpy(found))
-    radius.floor_m[0] = math.sqrt(-math.log(1 - COVERAGE)) * SYSTEMATIC_M / math.sqrt(opinions)
+    hidden = math.hypot(SYSTEMATIC_M / math.sqrt(opinions), SEEN_M)
+    radius.floor_m[0] = math.sqrt(-math.log(1 - COVERAGE)) * hidden
     return [float(value) for value in found]
 
 
