@@ -72,7 +72,7 @@ def main(options: Options) -> None:
         "truth; places against the releases, as that says where the bag ends."
     )
     write_results(RESULTS / "policies-by-cell", "Cell by cell", by_cell, origin, notes)
-    write_readme([*rows, PUBLISHED])
+    write_readme([*rows, PUBLISHED], len(options.cells))
 
 
 def cells_of(options: Options, policy: str) -> tuple[int, ...]:
@@ -160,7 +160,7 @@ def over_cells(summaries: list[dict[str, float]]) -> str:
     return f"{np.mean(means):.2f}{between}, worst {worst:.2f}"
 
 
-def write_readme(rows: list[dict[str, Any]]) -> None:
+def write_readme(rows: list[dict[str, Any]], cells: int) -> None:
     """Put the table into the README, between its two marks."""
     text = README.read_text()
     before, rest = text.split(START)
@@ -169,8 +169,8 @@ def write_readme(rows: list[dict[str, Any]]) -> None:
     lines = [columns, ["---"] * len(columns), *([str(row.get(c, "")) for c in columns] for row in rows)]
     table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     notes = (
-        "Errors against the simulator's truth on 50 held-out attempts after 200, in five cells. All conditions, cell "
-        "by cell: [docs/results/policies.md](docs/results/policies.md)."
+        f"Errors against the simulator's truth on 50 held-out attempts after 200, in {cells} cells. All conditions, "
+        "cell by cell: [docs/results/policies.md](docs/results/policies.md)."
     )
     README.write_text(f"{before}{START}\n\n{table}\n\n{notes}\n\n{END}{after}")
 
