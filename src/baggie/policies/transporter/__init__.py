@@ -1,0 +1,1 @@
+"""Transporter Networks: what was picked is searched for, turned, in the picture of where it may go."""
