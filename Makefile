@@ -24,7 +24,7 @@ lint: $(STAMP) ## format, lint, types
 	$(BIN)/mypy
 
 bench: $(STAMP) gl ## tables of speed and memory
-	for name in simulation data_read train_step decision; do \
+	for name in simulation data_read train_step decision height_map correlation; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit; done
 
 results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: many hours on two cores
