@@ -77,8 +77,10 @@ def test_symmetric_objects_excite_only_multiples_of_their_symmetry(symmetry, dir
     excited = q.norm(dim=-1) > 1e-9
     assert excited.tolist() == [order % symmetry == 0 for order in range(1, N + 1)]
     found = coefficients(q[None, :, None], drawn(seed, 1, N, 1, 2, 1, 1))
-    here, there = scores(found, torch.tensor([a, a + TURN / symmetry]))[0, :, 0, 0].tolist()
-    assert here == pytest.approx(there, abs=1e-5)
+    here, there = scores(found, torch.tensor([a, a + TURN / symmetry], dtype=torch.float64))[
+        0, :, 0, 0
+    ].tolist()
+    assert here == pytest.approx(there, abs=1e-9)
 
 
 @settings(deadline=None)
