@@ -31,8 +31,8 @@ _IN_SIGHT = 0.15
 """With a bag in sight this share of the pick's heat map, and far more, is at its peak; on an empty table, 0.05."""
 _VIEW_SCALE = 4
 """Heat maps are shown at a quarter of the picture's size."""
-_POINTED_CELLS = 16.0
-"""An object that is pointed at is looked for within so many cells: some 12 cm on a table."""
+_POINTED_CELLS = 10.0
+"""An object that is pointed at is looked for within so many cells: some 10 cm on a table, less than to the next bag."""
 _ANYWHERE = np.array([0.0, 0.0, 1e4], np.float32)
 LONG = 1.25
 """What is seen so many times longer than wide, an object or a goal, is long."""
