@@ -49,7 +49,7 @@ def main(options: Options) -> None:
         policy = f"color-mask --calibration {options.recordings / f'cell-{options.cell}'}"
         if recording is not None:
             policy = str(folder)
-            more = "--steps 2000 --new-looks 0.6" if "varied" in name else ""
+            more = "--steps 2000 --new-looks 0.6" if recording.name.startswith("varied-") else ""
             run(
                 f"train --policy keypoint --data {recording} --out {folder} --train 200 --val 50 --seed 0 {more}"
             )

@@ -36,7 +36,9 @@ class EvaluateOptions:
     cell: int = 0
     """The workcell; a policy belongs to the one it was trained in."""
     scenery: Scenery = "plain"
-    """The cell as it is, other light, what a varied collection shows, what none ever shows, or a second bag."""
+    """The cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none ever shows;
+    or a second bag.
+    """
     goal: GoalKind = "virtual"
     """Marked in the picture, square to the workspace; at any angle; or a real green card that has to be found."""
     radius_cm: float = 2.0

@@ -49,7 +49,7 @@ class TrainOptions:
     weights: str | None = None
     """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
     new_looks: float = 0.25
-    """keypoint: the share of pictures with cloth, table and clutter drawn anew, to know bags of any colour."""
+    """keypoint: the share of pictures with cloth, shape, table and clutter drawn anew, to know bags of any kind."""
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""
 
