@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.sim.arm_world import ArmWorld
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.sim.gl import require_backend
 from baggie.sim.sensor import Exposure, Sensor
-from baggie.sim.world import World
 from baggie.types import Image, Observation
 
 DETAILED_GROUP, HULL_GROUP = 2, 3  # the geom groups of `fr3.xml`
@@ -22,7 +22,7 @@ HIDDEN_GROUP = 5  # which no renderer draws
 class CameraRenderer:
     """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ArmWorld) -> None:
         require_backend()
         self._world = world
         self._lens = world.cell.lens
@@ -82,7 +82,7 @@ class CameraRenderer:
 class _Textures:
     """A renderer's own copies of the world's textures, all of them fresh when it is made."""
 
-    def __init__(self, world: World, renderer: mujoco.Renderer) -> None:
+    def __init__(self, world: ArmWorld, renderer: mujoco.Renderer) -> None:
         self._world = world
         self._renderer = renderer
         self._copied = dict(world.printed)
@@ -101,7 +101,7 @@ class _Textures:
 class Film:
     """Collects frames of the arm at work, from beside the table, at a steady rate of simulated time."""
 
-    def __init__(self, world: World, size: tuple[int, int], fps: float) -> None:
+    def __init__(self, world: ArmWorld, size: tuple[int, int], fps: float) -> None:
         self.frames: list[Image] = []
         self._world = world
         world.model.vis.quality.offsamples = 4  # a film wants smooth edges; read when the context is made

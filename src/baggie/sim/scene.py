@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from baggie.geometry import FloatArray, rigid
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
 from baggie.sim.cell import Cell
+from baggie.sim.cup import CUP, CUP_OFFSET_M, fit_cup
 from baggie.sim.distractors import Distractor, distractor_xml
 from baggie.sim.targets import (
     PLATE,
@@ -45,6 +47,7 @@ PADDLE_RADIUS_M = 0.025
 T_HAND_PLATE = rigid([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.13, 0, 0])
 CARD_SIZE_M = 0.13
 ARM = "arm_"  # prefix of everything that belongs to the arm
+Tool = Literal["hand", "cup"]
 
 _WORLD = """
 <mujoco model="baggie">
@@ -59,9 +62,7 @@ _WORLD = """
     <texture name="room" type="skybox" builtin="gradient" width="128" height="128"
         rgb1="0.80 0.83 0.86" rgb2="0.55 0.58 0.62"/>
     <texture name="table" type="2d" builtin="flat" width="512" height="512" rgb1="1 1 1"/>
-    <texture name="cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
-    <material name="table" texture="table" specular="0.1" shininess="0.2"/>
-    <material name="cloth" texture="cloth" specular="0.05"/>{second_cloth}
+    <material name="table" texture="table" specular="0.1" shininess="0.2"/>{assets}
   </asset>
   <worldbody>
     <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -{table_height}" rgba="{floor} 1"
@@ -74,15 +75,15 @@ _WORLD = """
     </body>
     <camera name="film" pos="1.40 -0.80 0.75" mode="targetbody" target="look_here" fovy="46"/>
     <body name="look_here" pos="0.40 0 0.20"/>
-    {bags}{distractors}
+    {things}
   </worldbody>
 </mujoco>
 """
 
 
-_SECOND_CLOTH = """
-    <texture name="second_cloth" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
-    <material name="second_cloth" texture="second_cloth" specular="0.05"/>"""
+_CLOTH = """
+    <texture name="{name}" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
+    <material name="{name}" texture="{name}" specular="0.05"/>"""
 
 
 def build_model(
@@ -92,7 +93,25 @@ def build_model(
     distractors: Sequence[Distractor] = (),
 ) -> mujoco.MjModel:
     """The whole workcell as one model, about 160 degrees of freedom; a second bag adds as many again."""
-    bags = bag_xml(bag) if second is None else bag_xml(bag) + bag_xml(second, SECOND_BAG, "second_cloth")
+    cloths, bags = _CLOTH.format(name="cloth"), bag_xml(bag)
+    if second is not None:
+        cloths += _CLOTH.format(name="second_cloth")
+        bags += bag_xml(second, SECOND_BAG, "second_cloth")
+    things = bags + "".join(distractor_xml(number, thing) for number, thing in enumerate(distractors))
+    scene = scene_spec(cell, cloths, things)
+    model = scene.compile()
+    rng = paint_table(model, cell)
+    paint(model, "cloth", cloth(rng, bag))
+    if second is not None:
+        paint(model, "second_cloth", cloth(rng, second))
+    return model
+
+
+def scene_spec(cell: Cell, assets: str, things: str, tool: Tool = "hand") -> mujoco.MjSpec:
+    """A cell's room, table, lamps, cameras and arm, to be compiled, with these things (XML) on the table.
+
+    The arm's names have the prefix `ARM`. `assets`: the textures and materials (XML) of the things.
+    """
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
@@ -100,9 +119,8 @@ def build_model(
         floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
         card=CARD_SIZE_M / 2,
         card_color=" ".join(f"{value / 255:.3f}" for value in CARD_COLOR),
-        second_cloth=_SECOND_CLOTH if second else "",
-        bags=bags,
-        distractors="".join(distractor_xml(number, thing) for number, thing in enumerate(distractors)),
+        assets=assets,
+        things=things,
     )
     scene = mujoco.MjSpec.from_string(xml)
     for number, light in enumerate(cell.lights):
@@ -121,47 +139,56 @@ def build_model(
         warnings.catch_warnings()
     ):  # the arm's own integrator gives way to the scene's, which is what we want
         warnings.simplefilter("ignore")
-        scene.attach(arm_spec(), prefix=ARM, frame=scene.worldbody.add_frame())
-        model = scene.compile()
+        scene.attach(arm_spec(tool), prefix=ARM, frame=scene.worldbody.add_frame())
+    return scene
+
+
+def paint_table(model: mujoco.MjModel, cell: Cell) -> np.random.Generator:
+    """Give the table its top; the stream it was drawn from, for what else the cell paints."""
     # Its own pattern, 0, does not change the stream: a seed is padded with zeros.
     rng = np.random.default_rng([0x7AB1E, cell.number, cell.table_pattern])
     paint(model, "table", table_top(rng, cell.table_color, cell.table_grain))
-    paint(model, "cloth", cloth(rng, bag))
-    if second is not None:
-        paint(model, "second_cloth", cloth(rng, second))
-    return model
+    return rng
 
 
-def arm_spec() -> mujoco.MjSpec:
-    """The FR3 with its hand as `franky-sim` ships it, with what a real one has besides.
+def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
+    """The FR3 as `franky-sim` ships it, with its hand or a suction cup, with what a real one has besides.
 
     Added: gravity compensation, a grip as firm as a Franka hand's, a tool site, a wrist force sensor, and what the hand
-    can hold out in front of the fingertips, hidden until asked for: the calibration paddle (a coloured disk) and a
-    printed plate.
+    can hold out in front of the tool, hidden until asked for: the calibration paddle (a coloured disk) and a printed
+    plate. The tool site is between the fingertips or at the middle of the cup's rim, z out of the tool.
     """
     assets = Path(str(files("franky_sim"))) / "assets"
     spec = mujoco.MjSpec.from_file(str(assets / "fr3.xml"))
     spec.meshdir = str(assets / "meshes")
     spec.delete(spec.keys[0])
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    hand = spec.body("hand")
+    if tool == "cup":
+        fit_cup(spec)
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
     for joint in (5, 6, 7):
         # As stiff as it is damped in the file, the light wrist never comes to rest at our time steps.
         spec.actuator(f"fr3_joint{joint}").biasprm[2] *= WRIST_DAMPING
-    grip = spec.actuator("hand")
-    # Position control of the mean finger opening (metres) with a force limit that `World.set_grip_force` moves.
-    grip.gainprm[0] = FINGER_GAIN
-    grip.biasprm[:3] = [0.0, -FINGER_GAIN, -FINGER_DAMPING]
-    grip.ctrlrange = [0.0, 0.04]
-    grip.inheritrange = 0.0
-    hand = spec.body("hand")
+    if tool == "hand":
+        grip = spec.actuator("hand")
+        # Position control of the mean finger opening (metres) with a force limit that `Fingers.set_force` moves.
+        grip.gainprm[0] = FINGER_GAIN
+        grip.biasprm[:3] = [0.0, -FINGER_GAIN, -FINGER_DAMPING]
+        grip.ctrlrange = [0.0, 0.04]
+        grip.inheritrange = 0.0
     hand.add_site(name="wrist", pos=[0, 0, 0])
-    hand.add_site(name="tool", pos=[0, 0, TOOL_OFFSET_M])
+    if tool == "hand":
+        offset = TOOL_OFFSET_M
+        hand.add_site(name="tool", pos=[0, 0, offset])
+    else:
+        offset = CUP_OFFSET_M
+        spec.body(CUP).add_site(name="tool")
     hand.add_geom(
         name="paddle",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=[PADDLE_OFFSET_M, 0, TOOL_OFFSET_M],
+        pos=[PADDLE_OFFSET_M, 0, offset],
         size=[PADDLE_RADIUS_M, 0.001, 0],
         rgba=[0.85, 0.05, 0.75, 0.0],
         contype=0,
@@ -169,7 +196,7 @@ def arm_spec() -> mujoco.MjSpec:
         mass=0,
     )
     plate = add_printed(spec, hand, PLATE, PLATE_SIZE_M, PLATE_TEXTURE)
-    plate.pos = T_HAND_PLATE[:3, 3] + [0, 0, TOOL_OFFSET_M]
+    plate.pos = T_HAND_PLATE[:3, 3] + [0, 0, offset]
     mujoco.mju_mat2Quat(plate.quat, T_HAND_PLATE[:3, :3].ravel())
     spec.add_sensor(
         name="wrist",

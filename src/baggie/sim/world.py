@@ -1,26 +1,22 @@
-"""The running simulation: physics, the state of arm, gripper and bag, and who wants to watch."""
+"""The running simulation of the arm and the bag, with what is printed and laid on the table."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
+from baggie.sim.arm_world import ArmWorld
 from baggie.sim.bag import BAG, SECOND_BAG, BagParameters
 from baggie.sim.cell import Cell
 from baggie.sim.distractors import Distractor
 from baggie.sim.scene import (
     ARM,
-    HOME,
     T_HAND_PLATE,
     TIMESTEP_S,
     build_model,
-    camera_quaternion,
     paint,
 )
 from baggie.sim.soft_body import SoftBody
@@ -38,7 +34,6 @@ from baggie.sim.targets import (
 from baggie.vision.targets import Target
 
 SETTLE_S = 1.0
-MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
 COARSE_TIMESTEP_S = 0.008  # three times as fast, and good where nothing but the table touches the bag
 CLEARANCE_M = 0.03  # further than the hand moves in one control period
 FINGERTIP_M = 0.009  # how far the fingers reach beyond the tool point
@@ -46,8 +41,8 @@ DROP_HEIGHT_M = 0.02
 SECOND_HOME = PlanarPose(0.5, 0.25)  # clear of the first, until it is told where
 
 
-class World:
-    """One MuJoCo world. Time passes only inside `advance`, as fast as the processor allows."""
+class World(ArmWorld):
+    """The arm, a bag, or two, and what else lies on the table."""
 
     def __init__(
         self,
@@ -56,51 +51,21 @@ class World:
         second: BagParameters | None = None,
         distractors: Sequence[Distractor] = (),
     ) -> None:
-        # MuJoCo would print every warning and write a file into the current folder. Dropping a bag or squeezing it
-        # flat leaves the implicit solve a little short of its tolerance for some steps, which is harmless.
-        mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
-        self.cell = cell
         self.bag = bag or BagParameters()
         self.distractors = tuple(distractors)
-        self.model = build_model(cell, self.bag, second, self.distractors)
-        self.data = mujoco.MjData(self.model)
-        self.watchers: list[Callable[[], None]] = []
-        """Called after every control period; a film camera is one."""
-        self.printed: dict[str, tuple[Target, float]] = {}
-        """By the texture's name, the target last printed and its scale; renderers keep copies of textures."""
+        super().__init__(cell, build_model(cell, self.bag, second, self.distractors))
         self._bag = SoftBody(self.model, self.data, BAG, self.bag)
         self._second = SoftBody(self.model, self.data, SECOND_BAG, second) if second else None
-        self._arm_dofs = [int(self.model.joint(f"{ARM}fr3_joint{k}").dofadr[0]) for k in range(1, 8)]
-        self._arm_q = [int(self.model.joint(f"{ARM}fr3_joint{k}").qposadr[0]) for k in range(1, 8)]
-        self._finger_q = [int(self.model.joint(f"{ARM}finger_joint{k}").qposadr[0]) for k in (1, 2)]
-        self._arm_ctrl = [self.model.actuator(f"{ARM}fr3_joint{k}").id for k in range(1, 8)]
-        self._grip = self.model.actuator(f"{ARM}hand").id
-        # A position servo with damping lags by kv / kp seconds; `set_joints` feeds that forward.
-        stiffness = self.model.actuator_gainprm[self._arm_ctrl, 0]
-        self._lag = -self.model.actuator_biasprm[self._arm_ctrl, 2] / stiffness
-        self._wrist = self.model.sensor(f"{ARM}wrist").adr[0]
-        self._wrist_site = self.model.site(f"{ARM}wrist").id
-        self._tool_site = self.model.site(f"{ARM}tool").id
         self.reset(PlanarPose(0.5, 0.0))
 
     # -- time ---------------------------------------------------------------------------------------------------
 
-    @property
-    def time(self) -> float:
-        """Seconds of simulated time since the last reset."""
-        return float(self.data.time)
-
-    def advance(self, seconds: float) -> None:
-        """Let physics run, in coarse steps as long as the hand is well above the bag."""
+    def _choose_timestep(self, seconds: float) -> float:
+        """Coarse as long as the hand is well above the bag."""
         coarse = self._hand_is_clear()
-        timestep = COARSE_TIMESTEP_S if coarse else TIMESTEP_S
-        self.model.opt.timestep = timestep
         # Newton's method is exact when cloth is squeezed; at rest one step of conjugate gradients is as good.
         self.model.opt.solver = mujoco.mjtSolver.mjSOL_CG if coarse else mujoco.mjtSolver.mjSOL_NEWTON
-        for _ in range(max(round(seconds / timestep), 1)):
-            mujoco.mj_step(self.model, self.data)
-        for watch in self.watchers:
-            watch()
+        return COARSE_TIMESTEP_S if coarse else TIMESTEP_S
 
     def _hand_is_clear(self) -> bool:
         fingertips = self.data.site_xpos[self._tool_site, 2] - FINGERTIP_M
@@ -111,59 +76,11 @@ class World:
 
         So is the second bag at its own pose, where there is one.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self._arm_q] = HOME
-        self.data.qpos[self._finger_q] = 0.04
-        self.set_joints(HOME, np.zeros(7))
-        self.set_finger_opening(0.04)
-        self.set_grip_force(MOVE_FORCE_N)
+        self._reset_arm()
         if self._second is not None:
             self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M)
         self.put_bag(bag_pose)
         self.advance(SETTLE_S)
-
-    # -- arm ----------------------------------------------------------------------------------------------------
-
-    @property
-    def joints(self) -> FloatArray:
-        """`(7,)` radians, as measured."""
-        return np.asarray(self.data.qpos[self._arm_q].copy())
-
-    @property
-    def joint_velocities(self) -> FloatArray:
-        """`(7,)` radians per second."""
-        return np.asarray(self.data.qvel[self._arm_dofs].copy())
-
-    def set_joints(self, q: FloatArray, velocity: FloatArray) -> None:
-        """Command joint positions `(7,)` radians that move with `velocity` `(7,)` rad/s."""
-        self.data.ctrl[self._arm_ctrl] = q + self._lag * velocity
-
-    def put_joints(self, q: FloatArray) -> None:
-        """Put the arm at joint positions `(7,)` radians, at rest there, without time passing."""
-        self.data.qpos[self._arm_q] = q
-        self.data.qvel[self._arm_dofs] = 0.0
-        self.set_joints(q, np.zeros(7))
-        mujoco.mj_forward(self.model, self.data)
-
-    @property
-    def finger_width(self) -> float:
-        """Metres between the fingers."""
-        return float(self.data.qpos[self._finger_q].sum())
-
-    def set_finger_opening(self, opening: float) -> None:
-        """Command how far each finger is from the middle, metres."""
-        self.data.ctrl[self._grip] = opening
-
-    def set_grip_force(self, newtons: float) -> None:
-        """The most each finger presses with."""
-        # The tendon pulls each finger with half its force.
-        self.model.actuator_forcerange[self._grip] = [-2 * newtons, 2 * newtons]
-
-    @property
-    def upward_force(self) -> float:
-        """Newtons that push the hand up, as a wrist sensor feels them, the hand's own weight included."""
-        force = self.data.sensordata[self._wrist : self._wrist + 3]
-        return float(-(self.data.site_xmat[self._wrist_site].reshape(3, 3) @ force)[2])
 
     # -- bags, card and printed sheets -------------------------------------------------------------------------
 
@@ -227,17 +144,6 @@ class World:
         self.model.geom(f"{ARM}paddle").rgba[3] = 1.0 if shown else 0.0
 
     # -- what gets bumped ---------------------------------------------------------------------------------------
-
-    def bump_camera(self, shift_m: FloatArray, turn_rad: FloatArray) -> None:
-        """Move the camera for good: `shift_m` `(3,)` along the base frame's axes, `turn_rad` `(3,)` about its own."""
-        self.cell = replace(
-            self.cell,
-            camera_position=self.cell.camera_position + shift_m,
-            camera_rotation=self.cell.camera_rotation @ Rotation.from_rotvec(turn_rad).as_matrix(),
-        )
-        camera = self.model.camera("top")
-        camera.pos[:], camera.quat[:] = self.cell.camera_position, camera_quaternion(self.cell)
-        mujoco.mj_forward(self.model, self.data)
 
     def bump_table(self, motion: PlanarPose) -> None:
         """Move the table's top for good, and bag, card and sheet with it; robot, camera and lamps stay.

@@ -1,153 +1,65 @@
-"""The simulated arm, as a workcell has it."""
+"""The simulated arm with its two-finger hand, as a workcell has it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
-
 import numpy as np
 
-from baggie.geometry import FloatArray, ToolPose
-from baggie.sim.kinematics import CONTROL_PERIOD_S, QUINTIC_PEAK, Kinematics, quintic
-from baggie.sim.scene import HOME, arm_spec
-from baggie.sim.world import MOVE_FORCE_N, World
+from baggie.errors import BaggieError
+from baggie.sim.arm_world import ArmWorld
+from baggie.sim.fingers import MOVE_FORCE_N, Fingers
+from baggie.sim.kinematics import CONTROL_PERIOD_S
 from baggie.workcell.arm import ArmInfo
+from baggie.workcell.arm_motions import ArmMotions
 
-# FR3 joint velocity limits, rad/s (Franka's data sheet), of which motions use at most 80%.
-JOINT_SPEED_LIMITS = 0.8 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
-SETTLED_RAD_S = 0.02
-SETTLE_TIMEOUT_S = 0.12
 FINGER_SPEED_M_S = 0.05  # each; Franka's data sheet
 SQUEEZE_S = 0.4
 FINGER_SETTLE_S = 0.1
-CLEAR_Z_M = 0.1  # above what lies on the table
-PARK = np.array([0.0, -1.1, 0.0, -2.75, 0.0, 1.75, 0.7853])
 
 
-class SimulatedArm:
-    """The FR3 in MuJoCo. Blocking motions advance the world's time."""
+class SimulatedArm(ArmMotions):
+    """The FR3 with its hand. Raises `BaggieError` for a world whose arm carries another tool."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ArmWorld) -> None:
+        super().__init__(world)
         self.info = ArmInfo("simulated FR3", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0)
-        self._world = world
-        self._kinematics = Kinematics(arm_spec().compile(), HOME)
-        self._target = HOME
-
-    def pose(self) -> ToolPose:
-        """Where the tool is now, by forward kinematics of the measured joints."""
-        return self._kinematics.tool_pose(self._world.joints)
-
-    def hand_pose(self) -> FloatArray:
-        """`T_base_hand` `(4, 4)`, by forward kinematics of the measured joints."""
-        return self._kinematics.hand_pose(self._world.joints)
-
-    def lead_to(self, T_base_hand: FloatArray) -> FloatArray:
-        """Put the hand at a pose `(4, 4)` at once, as a person would lead it there; the pose reached."""
-        q = self._kinematics.reach(self._world.joints, T_base_hand)
-        self._target = q
-        self._world.put_joints(q)
-        return self.hand_pose()
-
-    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
-        """Move along a straight line with minimum-jerk timing; returns once at rest."""
-        self._follow(self._kinematics.line(self._target, target), speed_m_s)
-        return self.pose()
-
-    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
-        """Straight down with minimum-jerk timing until the wrist feels `force_n` more than at the start."""
-        start = self._kinematics.tool_pose(self._target)
-        if start.z > z_min:
-            path = self._kinematics.line(self._target, replace(start, z=z_min))
-            tare = self._world.upward_force
-            self._follow(path, speed_m_s, until=lambda: self._world.upward_force - tare > force_n)
-        return self.pose()
+        self._fingers = _fingers(world)
 
     def move_gripper(self, width_m: float) -> float:
         """Fingers to a width at their usual speed."""
-        if abs(width_m - self._world.finger_width) < 0.001:
-            return self._world.finger_width
-        self._world.set_grip_force(MOVE_FORCE_N)
-        current = self._world.finger_width / 2
+        if abs(width_m - self._fingers.width) < 0.001:
+            return self._fingers.width
+        self._fingers.set_force(MOVE_FORCE_N)
+        current = self._fingers.width / 2
         steps = max(round(abs(width_m / 2 - current) / FINGER_SPEED_M_S / CONTROL_PERIOD_S), 1)
         for opening in np.linspace(current, width_m / 2, steps + 1)[1:]:
-            self._world.set_finger_opening(opening)
+            self._fingers.set_opening(opening)
             self._world.advance(CONTROL_PERIOD_S)
         self._world.advance(FINGER_SETTLE_S)
-        return self._world.finger_width
+        return self._fingers.width
 
     def grasp(self, force_n: float) -> float:
         """Close, then squeeze with `force_n` a finger; cloth needs a moment to give way."""
-        self._world.set_grip_force(force_n)
-        current = self._world.finger_width / 2
+        self._fingers.set_force(force_n)
+        current = self._fingers.width / 2
         for opening in np.arange(current, 0.0, -FINGER_SPEED_M_S * CONTROL_PERIOD_S):
-            self._world.set_finger_opening(opening)
+            self._fingers.set_opening(opening)
             self._world.advance(CONTROL_PERIOD_S)
-        self._world.set_finger_opening(0.0)
+        self._fingers.set_opening(0.0)
         self._world.advance(SQUEEZE_S)
-        return self._world.finger_width
+        return self._fingers.width
 
     def gripper_width(self) -> float:
         """Metres between the fingers now."""
-        return self._world.finger_width
+        return self._fingers.width
 
-    def park(self) -> ToolPose:
-        """Fold back over the base, out of the camera's view, joint by joint together."""
-        if np.allclose(self._target, PARK):
-            return self.pose()
-        here = self.pose()
-        if here.z < CLEAR_Z_M:
-            self.move_to(replace(here, z=CLEAR_Z_M), 0.5)
-        self._follow(np.linspace(self._target, PARK, 10), self.info.max_speed_m_s)
-        return self.pose()
-
-    def stop(self) -> None:
-        """Hold the joints where they are."""
-        self._command(self._world.joints, np.zeros(7))
-
-    def enter(self, world: World) -> None:
+    def enter(self, world: ArmWorld) -> None:
         """Work in another world from now on, where the arm is at home."""
+        self._fingers = _fingers(world)
         self._world = world
         self.reset()
 
-    def reset(self) -> None:
-        """Take note that the world put the arm back home."""
-        self._target = HOME
 
-    def _follow(self, path: FloatArray, speed_m_s: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Follow joint positions `(N, 7)` with minimum-jerk timing, until the end or `until` says so.
-
-        Each stretch takes as long as the slowest of its tool speed and its joints allows at full speed;
-        the quintic then eases the whole in and out without exceeding any of them.
-        """
-        clock = np.r_[0.0, np.cumsum(self._shortest_times(path, speed_m_s))]
-        steps = max(int(np.ceil(QUINTIC_PEAK * clock[-1] / CONTROL_PERIOD_S)), 1)
-        moments = clock[-1] * quintic(np.linspace(0.0, 1.0, steps + 1))
-        points = np.column_stack([np.interp(moments, clock, joint) for joint in path.T])
-        velocities = np.gradient(points, CONTROL_PERIOD_S, axis=0)
-        for q, velocity in zip(points[1:], velocities[1:], strict=True):
-            self._command(q, velocity)
-            self._world.advance(CONTROL_PERIOD_S)
-            if until():
-                break
-        self._command(self._target, np.zeros(7))
-        self._settle()
-
-    def _shortest_times(self, path: FloatArray, speed_m_s: float) -> FloatArray:
-        """`(N - 1,)` seconds that each stretch of a joint path `(N, 7)` takes at the highest speed allowed."""
-        poses = [self._kinematics.tool_pose(q) for q in path]
-        tool = [np.linalg.norm(b.xyz - a.xyz) / speed_m_s for a, b in pairwise(poses)]
-        joints = (np.abs(np.diff(path, axis=0)) / JOINT_SPEED_LIMITS).max(axis=1)
-        return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
-
-    def _settle(self) -> None:
-        """Wait until the arm is at rest: a pose read earlier is not where it will be."""
-        deadline = self._world.time + SETTLE_TIMEOUT_S
-        while self._world.time < deadline:
-            self._world.advance(CONTROL_PERIOD_S)
-            if np.abs(self._world.joint_velocities).max() < SETTLED_RAD_S:
-                break
-
-    def _command(self, q: FloatArray, velocity: FloatArray) -> None:
-        self._target = q
-        self._world.set_joints(q, velocity)
+def _fingers(world: ArmWorld) -> Fingers:
+    if world.fingers is None:
+        raise BaggieError("expected an arm with a two-finger hand, got one with another tool; use SuctionArm")
+    return world.fingers

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from baggie.sim.arm_world import ArmWorld
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.sensor import Exposure
-from baggie.sim.world import World
 from baggie.types import Intrinsics, Observation
 
 
 class SimulatedCamera:
     """The overhead colour and depth camera, with exposure and light that drift."""
 
-    def __init__(self, world: World, usual: Exposure) -> None:
+    def __init__(self, world: ArmWorld, usual: Exposure) -> None:
         """`usual`: what exposures drift about."""
         self.name = f"simulated camera of cell {world.cell.number}"
         self.size = PICTURE_SIZE
@@ -25,7 +25,7 @@ class SimulatedCamera:
         self._usual = usual
         self._rng = np.random.default_rng()
 
-    def enter(self, world: World, usual: Exposure) -> None:
+    def enter(self, world: ArmWorld, usual: Exposure) -> None:
         """Look into another world from now on, with exposures that drift about `usual`."""
         self._renderer.close()
         self._renderer = CameraRenderer(world)

@@ -1,0 +1,142 @@
+"""The running simulation of the arm with a suction cup among rigid blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, PlanarPose, rigid
+from baggie.sim.arm_world import ArmWorld
+from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml
+from baggie.sim.cell import Cell
+from baggie.sim.scene import TIMESTEP_S, paint_table, scene_spec
+from baggie.sim.suction import Suction, add_seals
+
+Pose = PlanarPose | FloatArray
+"""Flat on the table, or `T_base_body` `(4, 4)`."""
+
+SETTLE_S = 0.1
+PERIOD_S = 0.008
+"""Between two looks at the seal."""
+COARSE_TIMESTEP_S = 0.008
+CLEARANCE_M = 0.02  # further than the hand moves in one period
+
+
+class BlockWorld(ArmWorld):
+    """The arm, blocks that can be picked up, and fixtures that cannot."""
+
+    def __init__(self, cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture] = ()) -> None:
+        """Raises `BaggieError` where two things have the same name."""
+        self.blocks = {block.name: block for block in blocks}
+        self.fixtures = {fixture.name: fixture for fixture in fixtures}
+        names = [block.name for block in blocks] + [fixture.name for fixture in fixtures]
+        if len(set(names)) < len(names):
+            raise BaggieError(f"expected a name of its own for every block and fixture, got {names}")
+        super().__init__(cell, _build(cell, blocks, fixtures))
+        self.suction = Suction(self.model, self.data, self.blocks)
+        self._bodies = [self.model.body(name).id for name in self.blocks]
+        self._radii = self.model.geom_rbound[[self.model.geom(name).id for name in self.blocks]]
+        places = np.linspace(-0.3, 0.3, max(len(blocks), 2))
+        self.reset({block.name: PlanarPose(0.5, y) for block, y in zip(blocks, places, strict=False)})
+
+    def advance(self, seconds: float) -> None:
+        """Let physics run; what is held too loosely for what pulls at it is lost within `PERIOD_S`."""
+        for _ in range(max(round(seconds / PERIOD_S), 1)):
+            super().advance(min(seconds, PERIOD_S))
+            self.suction.check()
+
+    def _choose_timestep(self, seconds: float) -> float:
+        """Coarse as long as what the arm carries is well above all other blocks."""
+        if seconds < COARSE_TIMESTEP_S or self._clearance() < CLEARANCE_M:
+            return TIMESTEP_S
+        return COARSE_TIMESTEP_S
+
+    def _clearance(self) -> float:
+        """Metres between the cup, or what hangs from it, and the highest block."""
+        heights = self.data.xpos[self._bodies, 2]
+        tops = heights + self._radii
+        lowest = self.data.site_xpos[self._tool_site, 2]
+        if self.suction.held is not None:
+            held = list(self.blocks).index(self.suction.held)
+            lowest = heights[held] - self._radii[held]
+            tops[held] = 0.0
+        return float(lowest - tops.max(initial=0.0))
+
+    def reset(self, poses: Mapping[str, Pose]) -> None:
+        """Arm home, suction off, every block at its pose, at rest; fixtures without one go under the table.
+
+        Raises `BaggieError` where a block has no pose, or a pose no block or fixture.
+        """
+        known = {*self.blocks, *self.fixtures}
+        if not set(self.blocks) <= set(poses) <= known:
+            raise BaggieError(
+                f"expected poses of all of {sorted(self.blocks)} and at most of {sorted(self.fixtures)} besides, "
+                f"got poses of {sorted(poses)}"
+            )
+        self._reset_arm()
+        self.suction.off()
+        for name, pose in poses.items():
+            self._lay(name, pose)
+        mujoco.mj_forward(self.model, self.data)
+        self.advance(SETTLE_S)
+
+    def put(self, name: str, pose: Pose) -> None:
+        """Put a block or fixture somewhere, at rest, without time passing.
+
+        Raises `BaggieError` where nothing has this name.
+        """
+        if name not in self.blocks and name not in self.fixtures:
+            raise BaggieError(f"expected one of {[*self.blocks, *self.fixtures]}, got {name!r}")
+        self._lay(name, pose)
+        mujoco.mj_forward(self.model, self.data)
+
+    def pose(self, name: str) -> FloatArray:
+        """`T_base_body` `(4, 4)` of a block or fixture now."""
+        position, quaternion = self._place(name)
+        return rigid(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
+
+    def planar_pose(self, name: str) -> PlanarPose:
+        """Where its middle is above the table, and which way its x axis points there."""
+        T = self.pose(name)
+        return PlanarPose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
+
+    def _lay(self, name: str, pose: Pose) -> None:
+        position, quaternion = self._place(name)
+        T = self._standing(name, pose) if isinstance(pose, PlanarPose) else np.asarray(pose, float)
+        position[:] = T[:3, 3]
+        quaternion[:] = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+        if name in self.blocks:
+            dof = int(self.model.joint(name).dofadr[0])
+            self.data.qvel[dof : dof + 6] = 0.0
+
+    def _standing(self, name: str, pose: PlanarPose) -> FloatArray:
+        height = self.blocks[name].size_m[2] / 2 if name in self.blocks else 0.0
+        turn = Rotation.from_euler("z", pose.yaw).as_matrix()
+        return rigid(turn, [pose.x, pose.y, height])
+
+    def _place(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Position `(3,)` and quaternion `(4,)`, w first, of a block or fixture, to read and to write."""
+        if name in self.blocks:
+            start = int(self.model.joint(name).qposadr[0])
+            return self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7]
+        body = int(self.model.body(name).mocapid[0])
+        return self.data.mocap_pos[body], self.data.mocap_quat[body]
+
+
+def _build(cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture]) -> mujoco.MjModel:
+    things = "".join([block_xml(block) for block in blocks] + [fixture_xml(thing) for thing in fixtures])
+    scene = scene_spec(cell, "", things, tool="cup")
+    scene.option.cone = (
+        mujoco.mjtCone.mjCONE_ELLIPTIC
+    )  # round friction cones: blocks do not creep, and cheaper
+    scene.option.enableflags |= (
+        mujoco.mjtEnableBit.mjENBL_SLEEP
+    )  # resting blocks stand still and cost nothing
+    add_seals(scene, [block.name for block in blocks])
+    model = scene.compile()
+    paint_table(model, cell)
+    return model
