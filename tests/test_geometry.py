@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.geometry import PlanarPose, Rectangle, apply_homography, invert_transform, wrap_angle
+from baggie.geometry import (
+    PlanarPose,
+    Rectangle,
+    apply_homography,
+    hand_matrix,
+    invert_transform,
+    is_rigid,
+    wrap_angle,
+)
 
 poses = st.builds(PlanarPose, st.floats(-2, 2), st.floats(-2, 2), st.floats(-math.pi, math.pi))
 IDENTITY = PlanarPose(0.0, 0.0, 0.0)
@@ -58,3 +66,17 @@ def test_samples_lie_inside_by_the_margin(seed: int, margin: float) -> None:
     area = Rectangle(0.3, 0.7, -0.3, 0.3)
     x, y = area.sample(np.random.default_rng(seed), margin)
     assert area.contains(x, y, margin - 1e-9)
+
+
+@given(poses, st.floats(-1e-3, 1e-3))
+def test_a_transform_is_rigid_as_far_as_its_digits_say(pose: PlanarPose, error: float) -> None:
+    T = hand_matrix(pose.at_height(0.1))
+    assert is_rigid(T, 1e-9)
+    T[0, 0] += error
+    off = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max()
+    assert is_rigid(T, off * 1.01 + 1e-12)
+    assert off < 1e-9 or not is_rigid(T, off * 0.99)
+    assert not is_rigid(np.diag([1.0, 1.0, -1.0, 1.0]), 1e-3)  # a mirror
+    assert not is_rigid(np.eye(3), 1e-3)
+    T[3, 0] = 0.1
+    assert not is_rigid(T, 1.0)

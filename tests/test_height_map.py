@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, invert_transform, rigid, transform_points
+from baggie.grid import Grid
 from baggie.types import Observation
-from baggie.vision.height_map import Grid, HeightMap, fuse
+from baggie.vision.height_map import HeightMap, fuse
 from baggie.vision.holes import sees_past
 from ray_caster import Box, look, overhead_pose, pinhole, ravens_poses
 

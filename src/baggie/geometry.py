@@ -144,6 +144,21 @@ def rigid(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
     return result
 
 
+def is_rigid(transform: ArrayLike, tolerance: float) -> bool:
+    """Whether it is a rotation and a translation above a row 0 0 0 1, `(4, 4)` finite numbers.
+
+    `tolerance`: how far the products of the rotation's rows may be from those of orthonormal ones.
+    """
+    t = np.asarray(transform, float)
+    if t.shape != (4, 4) or not np.isfinite(t).all():
+        return False
+    rotation = t[:3, :3]
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=tolerance)
+    return bool(
+        orthonormal and np.linalg.det(rotation) > 0 and np.allclose(t[3], [0, 0, 0, 1], rtol=0, atol=1e-8)
+    )
+
+
 def hand_matrix(pose: ToolPose) -> FloatArray:
     """`T_base_hand` `(4, 4)` of a tool that points straight down.
 

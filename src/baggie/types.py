@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.grid import Grid
 
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
@@ -61,7 +63,10 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a camera saw once."""
+    """What a camera saw once; or, with a grid, the table as seen from straight above.
+
+    An orthographic picture (`baggie.vision.height_map`) has `grid` and `height` in place of `intrinsics` and `depth`.
+    """
 
     color: Image
     """`(H, W, 3)` uint8, RGB."""
@@ -70,6 +75,10 @@ class Observation:
     intrinsics: Intrinsics | None = None
     time: float = 0.0
     """Seconds; of the workcell's own clock."""
+    grid: Grid | None = None
+    """Which pixel shows which place, in the robot's base frame; None for a camera's own picture."""
+    height: NDArray[np.float32] | None = None
+    """`(H, W)` float32, metres above the grid's lower bound of z; 0 where nothing is known. None without a grid."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -77,9 +86,17 @@ class Observation:
         return self.color.shape[1], self.color.shape[0]
 
     def resized(self, width: int, height: int) -> Observation:
-        """The same picture at another size (area average); depth takes the nearest value, never a mixture."""
+        """The same picture at another size (area average); depth takes the nearest value, never a mixture.
+
+        Raises `BaggieError` for an orthographic picture: the size of its pixels is its grid's.
+        """
         if self.size == (width, height):
             return self
+        if self.grid is not None:
+            raise BaggieError(
+                f"expected an orthographic picture of {self.size[0]} x {self.size[1]} pixels to stay as it is, got "
+                f"{width} x {height} asked for; fuse again over another grid"
+            )
         color = np.asarray(cv2.resize(self.color, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
         depth = self.depth
         if depth is not None:
@@ -116,6 +133,13 @@ class Goal:
             u, v = (np.array(object_at) + 0.5) * factors - 0.5
             object_at = (float(u), float(v))
         return replace(self, corners=(self.corners + 0.5) * factors - 0.5, object_at=object_at)
+
+
+def marked(goal: Goal | None) -> Goal:
+    """The goal, for a policy that needs one. Raises `BaggieError` where there is none."""
+    if goal is None:
+        raise BaggieError("expected a goal marked in the picture, got none; give plan(observation, goal) one")
+    return goal
 
 
 @dataclass(frozen=True)
@@ -207,3 +231,9 @@ class Attempt:
     time: float = 0.0
     """Seconds of the workcell's clock when the attempt began."""
     truth: Truth | None = None
+    episode: int | None = None
+    """Of a task that takes several attempts: which try at it this one belongs to; None where it stands alone."""
+    step: int = 0
+    """Which attempt of its episode it is, from 0."""
+    reward: float | None = None
+    """How much of its episode's task this attempt has done, all of it being 1; None where nobody counts."""

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from baggie.calibration.uncertain import UncertainTransform
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, is_rigid
+
+_RIGID = 1e-6
+"""How far a rotation's rows may be from orthonormal: these files keep all digits."""
 
 
 def uncertainty_to_yaml(pose: UncertainTransform) -> dict[str, Any]:
@@ -25,10 +28,6 @@ def pose_from_yaml(content: Mapping[str, Any], name: str) -> UncertainTransform:
 def rigid_from_yaml(content: Mapping[str, Any], name: str) -> FloatArray:
     """`(4, 4)` called `name`. Raises `KeyError`, `TypeError` or `ValueError` when it is no rigid transform."""
     transform = np.array(content[name], float)
-    if transform.shape != (4, 4) or not np.isfinite(transform).all():
-        raise ValueError(f"{name} is not 4 x 4 numbers")
-    rotation = transform[:3, :3]
-    proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
-    if not proper or not np.allclose(transform[3], [0, 0, 0, 1]):
-        raise ValueError(f"{name} is not a rotation and a translation")
+    if not is_rigid(transform, _RIGID):
+        raise ValueError(f"{name} is not a rotation and a translation, 4 x 4 numbers")
     return transform

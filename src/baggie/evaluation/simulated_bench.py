@@ -25,7 +25,7 @@ class ColorOfTheBag(Policy):
     def __init__(self, policy: ColorMaskPolicy, cell: SimulatedWorkcell) -> None:
         self.policy, self.cell = policy, cell
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """What the colour mask plans for an object of the colour in the cell's settings."""
         self.policy.object_color = self.cell.settings.object_color
         return self.policy.plan(observation, goal)

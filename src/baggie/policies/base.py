@@ -18,10 +18,10 @@ class Policy(ABC):
     name: str
 
     @abstractmethod
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
-        """Where to pick and where to place.
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Where to pick and where to place. Without a goal: what comes next in the task the policy has learned.
 
-        Raises `BaggieError` when it cannot tell: no bag in sight, the goal outside the picture.
+        Raises `BaggieError` when it cannot tell: no bag in sight, the goal outside the picture or missing.
         """
 
     @classmethod

@@ -14,7 +14,7 @@ from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.policies.base import Policy
-from baggie.types import Goal, Observation, PickPlace, Plan
+from baggie.types import Goal, Observation, PickPlace, Plan, marked
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
@@ -31,13 +31,14 @@ class ColorMaskPolicy(Policy):
         self.image_to_robot = image_to_robot
         self.object_color = object_color
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; yaws modulo a quarter turn.
 
         Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
         picture has another shape than those the map was fitted to.
         """
         width, height = observation.size
+        goal = marked(goal)
         u, v = goal.center
         if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
             raise BaggieError(

@@ -15,7 +15,7 @@ from baggie.policies import checkpoint, keypoint_plan, regression_plan
 from baggie.policies.base import Policy
 from baggie.policies.keypoint_plan import Float32, GoalInput, Reading
 from baggie.policies.view import View
-from baggie.types import Goal, Observation, Plan
+from baggie.types import Goal, Observation, Plan, marked
 
 
 class Graph:
@@ -78,9 +78,9 @@ class ExportedKeypoint(ExportedPolicy):
         width, height = self.view.size
         _check(graph, (1, self.goal_input.channels, height, width))
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, goal)
+        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, marked(goal))
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
         """Run the network; see `keypoint_plan.Read`."""
@@ -95,9 +95,9 @@ class ExportedRegression(ExportedPolicy):
         self.goal_input = regression_plan.goal_input(config["model"])
         _check(graph, (1, 3, regression_plan.SIDE, regression_plan.SIDE))
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, goal)
+        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, marked(goal))
 
     def read(self, images: NDArray[np.uint8]) -> Float32:
         """Run the network; see `regression_plan.Read`."""

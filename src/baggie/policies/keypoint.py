@@ -15,7 +15,7 @@ from baggie.policies.keypoint_plan import Float32, GoalInput, Reading
 from baggie.policies.keypoint_reader import KeypointReader
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.view import View
-from baggie.types import Goal, Observation, Plan
+from baggie.types import Goal, Observation, Plan, marked
 
 
 class KeypointPolicy(LearnedPolicy):
@@ -52,9 +52,9 @@ class KeypointPolicy(LearnedPolicy):
         network = KeypointNet(int(model["width"]), goal_input.channels, model["backbone"])
         return cls(network, View.of(model["view"], picture_size), cell, goal_input)
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, goal)
+        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, marked(goal))
 
     def reader(self) -> KeypointReader:
         """The network with all that is computed from it, in evaluation mode: what is exported."""

@@ -59,8 +59,8 @@ class LearnedPolicy(Policy):
         """The policy with an untrained network."""
 
     @abstractmethod
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
-        """Where to pick and where to place. Raises `BaggieError` when the goal is not in the picture."""
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Where to pick and where to place. Raises `BaggieError` when the goal is missing or not in the picture."""
 
     @property
     def device(self) -> torch.device:

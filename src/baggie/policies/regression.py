@@ -17,7 +17,7 @@ from baggie.policies import regression_plan
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18
-from baggie.types import DrawnStyle, Goal, Image, Observation, Plan
+from baggie.types import DrawnStyle, Goal, Image, Observation, Plan, marked
 
 
 class Regressor(nn.Module):
@@ -87,9 +87,9 @@ class RegressionPolicy(LearnedPolicy):
         """A picture at its trained size and its goal -> `(224, 224, 3)` uint8 with the goal painted in it."""
         return regression_plan.network_input(self.goal_input, picture, goal).transpose(1, 2, 0)
 
-    def plan(self, observation: Observation, goal: Goal) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, goal)
+        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, marked(goal))
 
     def read(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Run the network; see `regression_plan.Read`."""

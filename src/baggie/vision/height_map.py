@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, is_rigid
+from baggie.grid import Grid
 from baggie.types import Image, Intrinsics, Observation
 from baggie.vision.holes import fill_sources, sees_past
 
@@ -27,62 +28,6 @@ _LEVEL_M = 1e-5
 must not decide which of the points on a flat table gives a pixel its colour."""
 _RIGID = 1e-4
 """How far a rotation's rows may be from orthonormal: written down with five digits, it still passes."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The box of space that a height map shows, in the robot's base frame, and the size of its pixels.
-
-    Rows run along y and columns along x, as in Ravens: u grows with x, v with y. Pixels are (u, v) with centres at
-    integers, so the middle of pixel 0 is half a pixel inside the lower bound. The defaults are those of Ravens.
-
-    Raises `BaggieError` for bounds that are no whole number of pixels, at least one, or the wrong way round.
-    """
-
-    x: tuple[float, float] = (0.25, 0.75)
-    """Metres, lower and upper bound."""
-    y: tuple[float, float] = (-0.5, 0.5)
-    z: tuple[float, float] = (0.0, 0.28)
-    pixel_m: float = 0.003125
-
-    def __post_init__(self) -> None:
-        if not 0 < self.pixel_m < np.inf:
-            raise BaggieError(
-                f"expected pixels of a positive size in metres, got {self.pixel_m}; try 0.003125"
-            )
-        for axis, (low, high) in (("x", self.x), ("y", self.y), ("z", self.z)):
-            if not -np.inf < low < high < np.inf:
-                raise BaggieError(
-                    f"expected bounds of {axis} from low to high, metres, got {low} to {high}; give the lower first"
-                )
-        for axis, (low, high) in (("x", self.x), ("y", self.y)):
-            pixels = (high - low) / self.pixel_m
-            whole = max(round(pixels), 1)
-            if abs(pixels - whole) > 1e-6:
-                raise BaggieError(
-                    f"expected bounds of {axis} a whole number of {self.pixel_m} m pixels apart, got {low} to {high} "
-                    f"({pixels:.2f} pixels); end at {low + whole * self.pixel_m:.9g}"
-                )
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """`(rows, columns)` of a height map."""
-        rows, columns = (round((high - low) / self.pixel_m) for low, high in (self.y, self.x))
-        return rows, columns
-
-    def to_pixels(self, xy: ArrayLike) -> FloatArray:
-        """`(N, 2)` metres in the robot's base frame -> `(N, 2)` pixels (u, v), inside the grid or not."""
-        return (np.asarray(xy, float).reshape(-1, 2) - [self.x[0], self.y[0]]) / self.pixel_m - 0.5
-
-    def to_robot(self, pixels: ArrayLike) -> FloatArray:
-        """The inverse of `to_pixels`: `(N, 2)` pixels (u, v) -> `(N, 2)` metres."""
-        return (np.asarray(pixels, float).reshape(-1, 2) + 0.5) * self.pixel_m + [self.x[0], self.y[0]]
-
-    def contains(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Which points `(N, 2)` metres lie in one of the pixels: `(N,)`. The upper bounds themselves do not."""
-        rows, columns = self.shape
-        edges = self.to_pixels(xy) + 0.5
-        return np.asarray(((edges >= 0) & (edges < [columns, rows])).all(axis=1))
 
 
 @dataclass(frozen=True)
@@ -201,7 +146,7 @@ def _checked(observations: Sequence[Observation], poses: Sequence[ArrayLike]) ->
         _check_observation(observation, f"observation {number}")
     transforms = [np.asarray(pose, float) for pose in poses]
     for number, transform in enumerate(transforms):
-        if not _is_rigid(transform):
+        if not is_rigid(transform, _RIGID):
             raise BaggieError(
                 f"expected pose {number} to be a rigid transform T_base_camera (4, 4): a rotation and a translation in "
                 f"metres above a row 0 0 0 1, got {np.array2string(transform, precision=3).replace(chr(10), '')}; "
@@ -223,13 +168,3 @@ def _check_observation(observation: Observation, name: str) -> None:
             f"{' x '.join(str(side) for side in depth.shape[::-1])} and intrinsics of {intrinsics.width} x "
             f"{intrinsics.height}; register depth to colour, and resize both with Observation.resized"
         )
-
-
-def _is_rigid(transform: FloatArray) -> bool:
-    if transform.shape != (4, 4) or not np.isfinite(transform).all():
-        return False
-    rotation = transform[:3, :3]
-    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=_RIGID)
-    return bool(
-        orthonormal and np.linalg.det(rotation) > 0 and np.allclose(transform[3], [0, 0, 0, 1], atol=1e-9)
-    )
