@@ -346,6 +346,17 @@ def test_what_the_published_recipe_would_ignore_is_refused(tmp_path, changes):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("changes", [{"goal_style": "outline"}, {"goal_color": (200, 0, 0)}])
+def test_the_look_of_goals_that_are_never_painted_is_refused(tmp_path, changes):
+    (name,) = changes
+    message = (
+        f"expected no --{name.replace('_', '-')} with --goal-input region, .* got .*add --goal-input painted"
+    )
+    with pytest.raises(BaggieError, match=message):
+        train(options(tmp_path, **changes), ATTEMPTS)
+    options(tmp_path, goal_input="painted", **changes).check()
+
+
 def test_the_published_recipe_takes_goals_of_any_look_and_published_weights(tmp_path):
     options(
         tmp_path, policy="regression", goal_style="outline", goal_color=(1, 2, 3), weights="some/where"

@@ -9,13 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import DataError
-from baggie.geometry import apply_homography
+from baggie.geometry import PlanarPose, apply_homography
 from baggie.policies import phase, planar_map
-from baggie.policies.keypoint_plan import place_yaw
+from baggie.policies.keypoint_plan import CELLS_TO_INPUT, GoalInput, Reading, place_yaw, plan
 from baggie.policies.planar_map import PlanarMap
 from baggie.policies.soft_argmax import gaussians, heat_maps, local_soft_argmax, near_only, soft_argmax
 from baggie.policies.view import View
-from synthetic import BAG_HEIGHT_M, to_pixels
+from baggie.sim.layout import BAGS_M
+from baggie.types import Goal, Observation
+from synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels
 
 numbers = st.floats(-0.25, 0.25)
 
@@ -166,3 +168,32 @@ def test_view_coordinates_agree_with_its_pictures():
     )
     assert view.contains(np.array([[100.0, 80.0]]))
     assert not view.contains(np.array([[10.0, 80.0]]))
+
+
+@given(st.floats(0.40, 0.60), st.floats(-0.20, 0.20), st.floats(-math.pi, math.pi))
+def test_what_is_pointed_at_is_looked_for_as_far_as_its_middle_and_no_further_than_the_next_bag(x, y, way):
+    size = (640, 360)
+    edges = [[u, v] for u in (WORKSPACE.x_min, WORKSPACE.x_max) for v in (WORKSPACE.y_min, WORKSPACE.y_max)]
+    view = View.around(to_pixels(np.c_[edges, np.full(4, BAG_HEIGHT_M)], size), size)
+    asked = []
+
+    def read(images, near, corners):
+        asked.append(near)
+        share = np.ones(2, np.float32)
+        return Reading(np.zeros((2, 2)), 0.0, 4.0, share, share, np.ones((2, 4, 4), np.float32), corners)
+
+    def cell_of(dx, dy):
+        pixel = to_pixels(np.array([[x + dx, y + dy, BAG_HEIGHT_M / 2]]), size)
+        return apply_homography(np.linalg.inv(view.from_input() @ CELLS_TO_INPUT), pixel)[0]
+
+    goal = Goal(box_corners(PlanarPose(0.5, 0.0), size))
+    pointed = to_pixels(np.array([[x, y, BAG_HEIGHT_M / 2]]), size)[0]
+    picture = Observation(np.zeros((360, 640, 3), np.uint8))
+    plan(read, view, GoalInput(), picture, Goal(goal.corners, object_at=tuple(pointed)))
+    plan(read, view, GoalInput(), picture, goal)
+    (u, v, radius), (_, _, anywhere) = asked
+    np.testing.assert_allclose([u, v], cell_of(0.0, 0.0), atol=1e-3)
+    towards = np.array([math.cos(way), math.sin(way)])
+    assert np.linalg.norm(cell_of(*(BAG_SIDE_M / 2 * towards)) - [u, v]) < radius
+    assert np.linalg.norm(cell_of(*(BAGS_M * towards)) - [u, v]) > radius
+    assert anywhere > max(view.size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -61,17 +62,21 @@ class TrainOptions:
                 "give 0.25 for a quarter of them"
             )
         if self.policy == "regression":
-            self._check_default("goal_input", "backbone", "new_looks")
-        elif self.weights is not None and self.backbone != "resnet18":
+            published = "--policy regression, which is kept as published", "take --policy keypoint"
+            self._expect_default(["goal_input", "backbone", "new_looks"], *published)
+            return
+        if self.goal_input == "region":
+            unpainted = "--goal-input region, which paints no goals", "add --goal-input painted"
+            self._expect_default(["goal_style", "goal_color"], *unpainted)
+        if self.weights is not None and self.backbone != "resnet18":
             raise BaggieError(
                 f"--weights are those of a ResNet-18, but keypoint's backbone is {self.backbone}: "
                 "add --backbone resnet18"
             )
 
-    def _check_default(self, *names: str) -> None:
+    def _expect_default(self, names: Sequence[str], where: str, remedy: str) -> None:
         for name in names:
             if (given := getattr(self, name)) != getattr(TrainOptions, name):
                 raise BaggieError(
-                    f"expected no --{name.replace('_', '-')} with --policy {self.policy}, which is kept as published, "
-                    f"got {given}; leave it out, or take --policy keypoint"
+                    f"expected no --{name.replace('_', '-')} with {where}, got {given}; leave it out, or {remedy}"
                 )
