@@ -71,7 +71,8 @@ def test_a_shift_is_measured_whatever_the_light_and_wherever_the_bag(
 ) -> None:
     shift = LANDMARKS.shift(picture(seed, shifted(du, dv), gain, bag=(200 + seed % 900, 100 + seed % 450)))
     assert shift.trusted
-    assert shift.px == pytest.approx(math.hypot(du, dv), abs=0.15, rel=0.12)
+    # Fractions of a pixel at a third of the size are drawn towards the nearest half: up to 0.2 of the picture's own.
+    assert shift.px == pytest.approx(math.hypot(du, dv), abs=0.25, rel=0.12)
     assert np.allclose(shift.corners_px, [du, dv], atol=0.5)
 
 
