@@ -1,4 +1,4 @@
-"""What the experiments share that run `baggie` commands: running them, and putting what they wrote into a table."""
+"""What the experiments share: running `baggie` commands, and putting what was measured into tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 def run(command: str) -> None:
@@ -38,3 +43,20 @@ def rate(success: dict[str, float]) -> str:
 def failures(metrics: dict[str, Any]) -> str:
     """What failed, and how often."""
     return ", ".join(f"{n} {cause}" for cause, n in metrics["failures"].items())
+
+
+def spread_ms(ms: ArrayLike) -> dict[str, float]:
+    """Median, quartiles, fastest and slowest of some times."""
+    names = ("fastest", "lower quartile", "median", "upper quartile", "slowest")
+    return {
+        f"{name} (ms)": float(value)
+        for name, value in zip(names, np.percentile(ms, (0, 25, 50, 75, 100)), strict=True)
+    }
+
+
+def write_and_show(name: str, title: str, rows: list[dict[str, Any]], notes: str) -> None:
+    """Write docs/results/NAME.{json,md}, and print the latter."""
+    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- as above
+
+    _, table = write_results(Path("docs/results") / name, title, rows, provenance(), notes)
+    print(table.read_text())

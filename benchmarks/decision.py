@@ -3,7 +3,7 @@
     python benchmarks/decision.py
 
 The networks are untrained: their weights make no difference to the time. One thread, then two; learned policies run by
-PyTorch, and exported, by onnxruntime.
+PyTorch, and exported, by onnxruntime. Writes docs/results/decision.{json,md}.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -27,6 +28,7 @@ from baggie.learning.keypoint import KeypointRecipe
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy, RegressionPolicy, load_policy
 from baggie.policies.export import export_policy
 from baggie.policies.regression import RegressionNet
+from commands import spread_ms, write_and_show
 from synthetic import RED, make_attempt, to_pixels
 
 ROUNDS = 25
@@ -41,10 +43,7 @@ def main() -> None:
     regression = RegressionPolicy(RegressionNet(), (640, 360), 0, "solid", (0, 200, 0))
     attempt = make_attempt(0, np.random.default_rng(0), SIZE, depth=False)
     goal = goal_of(attempt)
-    print(f"pictures of {SIZE[0]} x {SIZE[1]}; {ROUNDS} rounds, interleaved; ms a decision")
-    print(
-        f"{'policy':<14}{'engine':<13}{'threads':>8}{'median':>8}{'quartiles':>14}{'fastest':>9}{'slowest':>9}"
-    )
+    rows: list[dict[str, Any]] = []
     with TemporaryDirectory() as folder:
         for policy in (keypoint, regression):
             export_policy(policy, Path(folder, policy.name))
@@ -58,12 +57,12 @@ def main() -> None:
                     start = time.perf_counter()
                     policy.plan(attempt.before, goal)
                     times[max(turn, 0), column] = 1000 * (time.perf_counter() - start)
-            for (engine, policy), ms in zip(contenders, times.T, strict=True):
-                low, median, high = np.percentile(ms, (25, 50, 75))
-                print(
-                    f"{policy.name:<14}{engine:<13}{threads:>8}{median:>8.1f}{low:>7.1f}{high:>7.1f}"
-                    f"{ms.min():>9.1f}{ms.max():>9.1f}"
-                )
+            rows += [
+                {"policy": policy.name, "engine": engine, "threads": threads, **spread_ms(ms)}
+                for (engine, policy), ms in zip(contenders, times.T, strict=True)
+            ]
+    notes = f"From a picture of {SIZE[0]} x {SIZE[1]} to a plan; {ROUNDS} rounds, interleaved."
+    write_and_show("decision", "How long a decision takes", rows, notes)
 
 
 def engines(trained: Sequence[LearnedPolicy], exported: Path) -> list[tuple[str, Policy]]:

@@ -3,7 +3,8 @@
     python benchmarks/train_step.py
 
 One step: batch made, forward, backward, optimizer; nothing prefetched. One thread, then two. Then the training loop as
-it is, which makes batches in a thread of its own: how long a step takes there, and how busy the cores are.
+it is, which makes batches in a thread of its own: how long a step takes there, and how busy the cores are. Writes
+docs/results/train-step.{json,md}.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -23,38 +25,46 @@ from baggie.learning.background import flushed_denormals, prefetched
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.learning.recipe import Recipe
 from baggie.learning.regression import RegressionRecipe
+from commands import spread_ms, write_and_show
 from synthetic import make_attempt
 
 ROUNDS = 15
 ATTEMPTS = 20
+LOOPED = "keypoint, batch 8"
 
 
 def main() -> None:
     cv2.setNumThreads(1)
     attempts = [make_attempt(i, np.random.default_rng(i), (640, 360), depth=False) for i in range(ATTEMPTS)]
     recipes: dict[str, Recipe] = {
-        "keypoint, batch 8": KeypointRecipe(attempts),
+        LOOPED: KeypointRecipe(attempts),
         "regression, batch 1": RegressionRecipe(attempts, "solid", (0, 200, 0), None),
     }
-    print(f"recordings of 640 x 360; {ROUNDS} rounds, interleaved; ms a step")
-    print(f"{'recipe':<22}{'threads':>8}{'median':>8}{'fastest':>9}{'slowest':>9}{'steps':>9}{'minutes':>9}")
+    rows: list[dict[str, Any]] = []
     with flushed_denormals():
         for threads in (1, 2):
             torch.set_num_threads(threads)
             for name, ms in measure({name: stepper(recipe) for name, recipe in recipes.items()}).items():
                 steps = recipes[name].steps
-                minutes = np.median(ms) * steps / 60_000
-                print(
-                    f"{name:<22}{threads:>8}{np.median(ms):>8.0f}{ms.min():>9.0f}{ms.max():>9.0f}"
-                    f"{steps:>9}{minutes:>9.1f}"
-                )
-        print(
-            f"\n{'batches made beside':<22}{'threads':>8}{'ms a step':>11}{'ms a batch':>12}{'cores busy':>12}"
-        )
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            step_ms, batch_ms, busy = in_the_loop(recipes["keypoint, batch 8"])
-            print(f"{'keypoint, batch 8':<22}{threads:>8}{step_ms:>11.0f}{batch_ms:>12.0f}{busy:>12.0%}")
+                minutes = float(np.median(ms)) * steps / 60_000
+                row = {
+                    "recipe": name,
+                    "threads": threads,
+                    **spread_ms(ms),
+                    "steps": steps,
+                    "minutes": minutes,
+                }
+                if name == LOOPED:
+                    step_ms, batch_ms, busy = in_the_loop(recipes[name])
+                    row |= {
+                        "ms a step with batches made beside": step_ms,
+                        "ms to make a batch": batch_ms,
+                        "cores busy": f"{busy:.0%} of 2",
+                        "minutes so": step_ms * steps / 60_000,
+                    }
+                rows.append(row)
+    notes = f"Milliseconds a step, on recordings of 640 x 360; {ROUNDS} rounds, interleaved."
+    write_and_show("train-step", "How long a training step takes", rows, notes)
 
 
 def stepper(recipe: Recipe) -> Callable[[], None]:
