@@ -136,8 +136,12 @@ def virtual_goals(options: Options) -> None:
     """A bag at random, a green box drawn at random into the picture, pick and place executed."""
     rows = []
     for name, policy in subjects(options):
-        for goal in ("virtual", "turned"):
-            out = options.runs / f"{name}-{goal}"
+        # Square goals are what benchmarks/policies.py evaluates, too: one evaluation serves both.
+        folders = {
+            "virtual": options.policies / name / "evaluation",
+            "turned": options.runs / f"{name}-turned",
+        }
+        for goal, out in folders.items():
             run(f"evaluate --policy {policy} --goal {goal} {closed_loop(options)} --out {out}")
             rows.append(closed_loop_row({"policy": name, "goal": goal}, out))
     notes = "Nothing was fine-tuned. `virtual` goals are square to the workspace, `turned` ones at any angle."
@@ -247,7 +251,6 @@ def color_mask(options: Options) -> None:
     """The colour-mask system's angles: how often it takes a bag that lies otherwise for one at 45 degrees."""
     from baggie.collect.places import FALSE_45_RAD  # noqa: PLC0415
 
-    run(f"evaluate --policy color-mask {closed_loop(options)} --out {options.runs / 'color-mask-virtual'}")
     rows = []
     for name, readings in angle_readings(options).items():
         read, true = (np.array(column) for column in zip(*readings, strict=True))
