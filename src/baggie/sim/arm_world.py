@@ -110,5 +110,8 @@ class ArmWorld:
             camera_rotation=self.cell.camera_rotation @ Rotation.from_rotvec(turn_rad).as_matrix(),
         )
         camera = self.model.camera("top")
-        camera.pos[:], camera.quat[:] = self.cell.camera_position, camera_quaternion(self.cell)
+        camera.pos[:], camera.quat[:] = (
+            self.cell.camera_position,
+            camera_quaternion(self.cell.camera_rotation),
+        )
         mujoco.mj_forward(self.model, self.data)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,8 +14,12 @@ from baggie.geometry import FloatArray, PlanarPose, rigid
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml
 from baggie.sim.cell import Cell
+from baggie.sim.depth_cameras import add_depth_cameras
+from baggie.sim.renderer import HIDDEN_GROUP
+from baggie.sim.reshape import reshape
 from baggie.sim.scene import TIMESTEP_S, paint_table, scene_spec
 from baggie.sim.suction import Suction, add_seals
+from baggie.vision.depth_camera import DepthCamera
 
 Pose = PlanarPose | FloatArray
 """Flat on the table, or `T_base_body` `(4, 4)`."""
@@ -24,22 +29,29 @@ PERIOD_S = 0.008
 """Between two looks at the seal."""
 COARSE_TIMESTEP_S = 0.008
 CLEARANCE_M = 0.02  # further than the hand moves in one period
+ASIDE_X_M, ASIDE_SPACING_M = -1.0, 0.3  # where blocks wait that play no part, behind the robot
 
 
 class BlockWorld(ArmWorld):
     """The arm, blocks that can be picked up, and fixtures that cannot."""
 
-    def __init__(self, cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture] = ()) -> None:
-        """Raises `BaggieError` where two things have the same name."""
+    def __init__(
+        self,
+        cell: Cell,
+        blocks: Sequence[Block],
+        fixtures: Sequence[Fixture] = (),
+        cameras: Sequence[DepthCamera] = (),
+    ) -> None:
+        """`cameras`: for `DepthRenderer`. Raises `BaggieError` where two things have the same name."""
         self.blocks = {block.name: block for block in blocks}
         self.fixtures = {fixture.name: fixture for fixture in fixtures}
         names = [block.name for block in blocks] + [fixture.name for fixture in fixtures]
         if len(set(names)) < len(names):
             raise BaggieError(f"expected a name of its own for every block and fixture, got {names}")
-        super().__init__(cell, _build(cell, blocks, fixtures))
+        super().__init__(cell, _build(cell, blocks, fixtures, cameras))
         self.suction = Suction(self.model, self.data, self.blocks)
         self._bodies = [self.model.body(name).id for name in self.blocks]
-        self._radii = self.model.geom_rbound[[self.model.geom(name).id for name in self.blocks]]
+        self._geoms = [self.model.geom(name).id for name in self.blocks]
         places = np.linspace(-0.3, 0.3, max(len(blocks), 2))
         self.reset({block.name: PlanarPose(0.5, y) for block, y in zip(blocks, places, strict=False)})
 
@@ -58,19 +70,34 @@ class BlockWorld(ArmWorld):
     def _clearance(self) -> float:
         """Metres between the cup, or what hangs from it, and the highest block."""
         heights = self.data.xpos[self._bodies, 2]
-        tops = heights + self._radii
+        radii = self.model.geom_rbound[self._geoms]
+        tops = heights + radii
         lowest = self.data.site_xpos[self._tool_site, 2]
         if self.suction.held is not None:
             held = list(self.blocks).index(self.suction.held)
-            lowest = heights[held] - self._radii[held]
+            lowest = heights[held] - radii[held]
             tops[held] = 0.0
         return float(lowest - tops.max(initial=0.0))
 
-    def reset(self, poses: Mapping[str, Pose]) -> None:
+    def reshape(self, things: Iterable[Block | Fixture]) -> None:
+        """Give what has the names of these things their sizes, weights and colours; `reset` has to follow.
+
+        Raises `BaggieError` where nothing has this name, or a fixture is not of the boxes it was built of.
+        """
+        for thing in things:
+            named: dict[str, Any] = self.blocks if isinstance(thing, Block) else self.fixtures
+            if thing.name not in named:
+                raise BaggieError(f"expected one of {[*named]}, got {thing.name!r}")
+            reshape(self.model, self.data, thing)
+            named[thing.name] = thing
+
+    def reset(self, poses: Mapping[str, Pose], aside: Collection[str] = ()) -> None:
         """Arm home, suction off, every block at its pose, at rest; fixtures without one go under the table.
 
-        Raises `BaggieError` where a block has no pose, or a pose no block or fixture.
+        `aside`: blocks that play no part; unseen, they wait behind the robot. Raises `BaggieError` where any other
+        block has no pose, or a pose no block or fixture.
         """
+        poses = {**poses, **self._aside(aside)}
         known = {*self.blocks, *self.fixtures}
         if not set(self.blocks) <= set(poses) <= known:
             raise BaggieError(
@@ -79,6 +106,7 @@ class BlockWorld(ArmWorld):
             )
         self._reset_arm()
         self.suction.off()
+        self.model.geom_group[self._geoms] = [HIDDEN_GROUP if name in aside else 0 for name in self.blocks]
         for name, pose in poses.items():
             self._lay(name, pose)
         mujoco.mj_forward(self.model, self.data)
@@ -99,10 +127,19 @@ class BlockWorld(ArmWorld):
         position, quaternion = self._place(name)
         return rigid(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
 
+    def poses(self) -> dict[str, FloatArray]:
+        """By name, `T_base_body` `(4, 4)` of every block and fixture now."""
+        return {name: self.pose(name) for name in (*self.blocks, *self.fixtures)}
+
     def planar_pose(self, name: str) -> PlanarPose:
         """Where its middle is above the table, and which way its x axis points there."""
         T = self.pose(name)
         return PlanarPose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
+
+    def _aside(self, names: Collection[str]) -> dict[str, PlanarPose]:
+        return {
+            name: PlanarPose(ASIDE_X_M, ASIDE_SPACING_M * number) for number, name in enumerate(sorted(names))
+        }
 
     def _lay(self, name: str, pose: Pose) -> None:
         position, quaternion = self._place(name)
@@ -127,7 +164,9 @@ class BlockWorld(ArmWorld):
         return self.data.mocap_pos[body], self.data.mocap_quat[body]
 
 
-def _build(cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture]) -> mujoco.MjModel:
+def _build(
+    cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture], cameras: Sequence[DepthCamera]
+) -> mujoco.MjModel:
     things = "".join([block_xml(block) for block in blocks] + [fixture_xml(thing) for thing in fixtures])
     scene = scene_spec(cell, "", things, tool="cup")
     scene.option.cone = (
@@ -136,6 +175,7 @@ def _build(cell: Cell, blocks: Sequence[Block], fixtures: Sequence[Fixture]) -> 
     scene.option.enableflags |= (
         mujoco.mjtEnableBit.mjENBL_SLEEP
     )  # resting blocks stand still and cost nothing
+    add_depth_cameras(scene, cameras)
     add_seals(scene, [block.name for block in blocks])
     model = scene.compile()
     paint_table(model, cell)

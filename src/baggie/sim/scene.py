@@ -211,16 +211,16 @@ def _add_camera(scene: mujoco.MjSpec, cell: Cell) -> None:
     scene.worldbody.add_camera(
         name="top",
         pos=cell.camera_position,
-        quat=camera_quaternion(cell),
+        quat=camera_quaternion(cell.camera_rotation),
         fovy=np.rad2deg(cell.lens.render_fovy),
     )
 
 
-def camera_quaternion(cell: Cell) -> FloatArray:
+def camera_quaternion(R_base_camera: FloatArray) -> FloatArray:
     """`(4,)`, w first: the turn of MuJoCo's camera, which looks along -z with y up; OpenCV's along +z with y down."""
-    rotation: FloatArray = cell.camera_rotation @ np.diag([1.0, -1.0, -1.0])
+    turned: FloatArray = R_base_camera @ np.diag([1.0, -1.0, -1.0])
     quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    mujoco.mju_mat2Quat(quaternion, turned.ravel())
     return quaternion
 
 

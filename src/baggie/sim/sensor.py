@@ -38,10 +38,13 @@ class Exposure:
 class Sensor:
     """Turns an ideal picture into a recorded one. One per camera: the vignette belongs to it."""
 
-    def __init__(self, size: tuple[int, int], vignette: float = 0.18) -> None:
+    def __init__(
+        self, size: tuple[int, int], vignette: float = 0.18, depth_noise_m: float = DEPTH_NOISE_M
+    ) -> None:
         width, height = size
         v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
         fall_off = 1.0 - vignette * (u**2 + v**2) / 2
+        self._depth_noise_m = depth_noise_m
         self._vignette = np.repeat((fall_off * 255).astype(np.uint8)[..., None], 3, axis=2)
         # Fresh noise for a million pixels costs more than the picture. One tile with room to spare is drawn once, and
         # every picture takes its window from another corner of it.
@@ -66,7 +69,7 @@ class Sensor:
         """Depth with a time-of-flight camera's noise, in whole millimetres: `(H, W)` float32 metres."""
         height, width = depth.shape
         top, left = rng.integers(_SLACK, size=2)
-        noise = self._noise[top : top + height, left : left + width, 0] * np.float32(DEPTH_NOISE_M / 64)
+        noise = self._noise[top : top + height, left : left + width, 0] * np.float32(self._depth_noise_m / 64)
         return np.asarray(np.round((depth + noise) * 1000) / 1000, np.float32)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,20 +13,19 @@ from baggie.geometry import FloatArray, PlanarPose
 from baggie.sim.bag import BagParameters
 from baggie.sim.cell import draw_cell
 from baggie.sim.layout import lay_bags
-from baggie.sim.renderer import Film
 from baggie.sim.variety import Scenery, Variety, draw_variety
 from baggie.sim.world import World
-from baggie.types import Image
 from baggie.vision.targets import Target
+from baggie.workcell.mujoco_workcell import MujocoWorkcell
 from baggie.workcell.simulated_arm import SimulatedArm
 from baggie.workcell.simulated_camera import SimulatedCamera
-from baggie.workcell.workcell import Workcell, WorkcellSettings
+from baggie.workcell.workcell import WorkcellSettings
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
 
 
-class SimulatedWorkcell(Workcell):
+class SimulatedWorkcell(MujocoWorkcell):
     """A workcell in MuJoCo. `truth`, `second_truth`, `obstacles`, `goal_corners` and `world` are for evaluation only.
 
     In a scenery other than `plain` every reset builds another world, which takes a second or two; a film ends with it.
@@ -44,7 +42,7 @@ class SimulatedWorkcell(Workcell):
         self._plain = draw_cell(cell), bag or BagParameters()
         settings = settings or _describing(self._plain[1], WorkcellSettings(name=f"sim cell {cell}"))
         first = draw_variety(scenery, *self._plain, settings.workspace, _FIRST)
-        self.world = _build(first)
+        self.world: World = _build(first)
         self._simulated_arm = SimulatedArm(self.world)
         self._simulated_camera = SimulatedCamera(self.world, first.exposure)
         if scenery != "plain":
@@ -82,10 +80,6 @@ class SimulatedWorkcell(Workcell):
         self.world.reset(bag, second)
         self._simulated_arm.reset()
         self.arm.park()
-
-    def clock(self) -> float:
-        """Seconds of simulated time since the last reset."""
-        return self.world.time
 
     def truth(self) -> PlanarPose:
         """The bag's true centre and yaw now."""
@@ -168,17 +162,6 @@ class SimulatedWorkcell(Workcell):
         self.world.put_bag(pose)
         self.world.advance(1.0)
         return True
-
-    @contextmanager
-    def film(self, size: tuple[int, int] = (640, 480), fps: float = 20.0) -> Iterator[list[Image]]:
-        """Collect frames `(H, W, 3)` of the arm at work, seen from beside the table, while the block runs."""
-        film = Film(self.world, size, fps)
-        self.world.watchers.append(film.watch)
-        try:
-            yield film.frames
-        finally:
-            self.world.watchers.remove(film.watch)
-            film.close()
 
     def close(self) -> None:
         """Free the OpenGL context."""

@@ -1,0 +1,124 @@
+"""The simulated workcell with blocks: a suction cup, three cameras with depth, and a task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from baggie.errors import CameraError
+from baggie.geometry import Rectangle
+from baggie.sim.block_world import BlockWorld
+from baggie.sim.cell import draw_cell
+from baggie.sim.depth_cameras import DepthRenderer
+from baggie.sim.tasks import Task, find_task
+from baggie.sim.tasks.layout import REACH
+from baggie.sim.tasks.oracle import next_action
+from baggie.sim.tasks.scoring import RavensScore, strict_success
+from baggie.types import Intrinsics, Observation, PickPlace
+from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
+from baggie.workcell.height_map_camera import HeightMapCamera
+from baggie.workcell.limits import Limits
+from baggie.workcell.mujoco_workcell import MujocoWorkcell
+from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
+from baggie.workcell.suction_arm import BLOCK_HANDLING, SuctionArm
+from baggie.workcell.workcell import WorkcellSettings
+
+_FIRST = (0,)
+"""Names the scene a workcell opens with."""
+_STRAY_M = 0.01  # the arm is not quite where it was sent, at the workspace's edge too
+
+
+class BlockWorkcell(MujocoWorkcell):
+    """A workcell in MuJoCo for tasks with blocks; its pictures are height maps.
+
+    `world`, `scene`, `score`, `demonstrate` and `strict_success` are for demonstrations and evaluation only.
+    """
+
+    def __init__(self, task: Task, cell: int = 0, pictures: bool = True) -> None:
+        """Without `pictures` it needs no OpenGL, and `look` raises `CameraError`."""
+        self.task = task
+        cameras = RAVENS_DEPTH_CAMERAS if pictures else ()
+        self.world: BlockWorld = BlockWorld(draw_cell(cell), task.blocks, task.fixtures, cameras)
+        self._suction_arm = SuctionArm(self.world)
+        self._renderer: DepthRenderer | None = None
+        self._eyes: list[SimulatedDepthCamera] = []
+        camera: HeightMapCamera | NoPictures = NoPictures()
+        if pictures:
+            lens = RAVENS_DEPTH_CAMERAS[0].intrinsics
+            self._renderer = renderer = DepthRenderer(self.world, (lens.width, lens.height))
+            self._eyes = [SimulatedDepthCamera(each, renderer) for each in cameras]
+            name = f"simulated height map of cell {cell}"
+            camera = HeightMapCamera(self._eyes, [each.T_base_camera for each in cameras], name=name)
+        super().__init__(self._suction_arm, camera, _settings(task, cell))
+        self.reset(_FIRST)
+
+    def reset(self, seed: Sequence[int]) -> None:
+        """A new scene of the task, the one these integers name; arm parked, nothing scored yet."""
+        rng = np.random.default_rng(list(seed))
+        for eye, stream in zip(self._eyes, rng.spawn(len(self._eyes)), strict=True):
+            eye.reseed(stream)
+        self.scene = self.task.draw(rng)
+        self.score = RavensScore(self.scene.stages)
+        self.world.reshape([*self.scene.blocks, *self.scene.fixtures])
+        idle = {block.name for block in self.task.blocks} - set(self.scene.poses)
+        self.world.reset(self.scene.poses, aside=idle)
+        self._suction_arm.reset()
+        self.arm.park()
+
+    def demonstrate(self) -> PickPlace | None:
+        """What a demonstrator who knows where everything is does next; None when all is done, strictly."""
+        return next_action(self.scene.stages, self.world.poses())
+
+    def count(self) -> float:
+        """What Ravens rewards since the last call; call it after every pick and place. The sum is `score.total`."""
+        return self.score.count(self.world.poses())
+
+    def strict_success(self) -> bool:
+        """Whether every block is in a slot of its own, upright, and stays there: two seconds pass if it looks so."""
+        return strict_success(self.scene.stages, self.world)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+
+class NoPictures:
+    """The camera of a workcell that was opened without any."""
+
+    name = "no camera"
+    size = (0, 0)
+    intrinsics: Intrinsics | None = None
+
+    def look(self) -> Observation:
+        """Raises `CameraError`."""
+        raise CameraError("expected a workcell with pictures, got one without; open it with pictures=True")
+
+
+def _settings(task: Task, cell: int) -> WorkcellSettings:
+    """The cup goes down to the table, over all of the grid that the arm reaches."""
+    largest = max(task.blocks, key=lambda block: block.size_m)
+    return WorkcellSettings(
+        name=f"sim cell {cell}, {task.name}",
+        workspace=REACH,
+        limits=Limits(workspace=_wider(REACH), reach=Rectangle(0.15, 0.75, -0.50, 0.50), z_min_m=0.0),
+        handling=BLOCK_HANDLING,
+        object_color=largest.color,
+        object_size_m=largest.size_m,
+        object_symmetry=task.object_symmetry,
+    )
+
+
+def _wider(area: Rectangle) -> Rectangle:
+    return Rectangle(
+        area.x_min - _STRAY_M, area.x_max + _STRAY_M, area.y_min - _STRAY_M, area.y_max + _STRAY_M
+    )
+
+
+def open_block_workcell(task: str, cell: int = 0, pictures: bool = True) -> BlockWorkcell:
+    """The simulated workcell with this cell number and the task of this name, one of `baggie.sim.tasks.TASKS`.
+
+    Raises `BaggieError` where there is no such task.
+    """
+    return BlockWorkcell(find_task(task), cell, pictures)

@@ -1,0 +1,237 @@
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, PlanarPose, rigid, transform_points
+from baggie.grid import Grid
+from baggie.sim.blocks import Block, Fixture
+from baggie.sim.tasks import TASKS, Scene, Slot, Stage, Task, find_task
+from baggie.sim.tasks.layout import REACH
+from baggie.sim.tasks.oracle import carry, next_action
+from baggie.sim.tasks.scoring import RavensScore, all_filled, filled, yaw_of
+from baggie.types import PickPlace
+
+MARGIN_M = 0.05
+tasks = st.sampled_from(list(TASKS.values()))
+seeds = st.integers(0, 2**32)
+pyramid = TASKS["block-pyramid"]
+
+
+def flat(pose: PlanarPose, z: float) -> FloatArray:
+    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+    return rigid([[c, -s, 0], [s, c, 0], [0, 0, 1]], [pose.x, pose.y, z])
+
+
+def poses_of(scene: Scene) -> dict[str, FloatArray]:
+    heights = {block.name: block.size_m[2] / 2 for block in scene.blocks}
+    return {name: flat(pose, heights.get(name, 0.0)) for name, pose in scene.poses.items()}
+
+
+def footprint(thing: Block | Fixture, T: FloatArray) -> FloatArray:
+    """`(4, 2)` corners on the table of the smallest box in the thing's frame that holds it."""
+    boxes = [((0.0, 0.0, 0.0), thing.size_m)] if isinstance(thing, Block) else []
+    if isinstance(thing, Fixture):
+        boxes = [(part.position_m, part.size_m) for part in thing.parts]
+    low = np.min([np.array(at) - np.array(size) / 2 for at, size in boxes], axis=0)
+    high = np.max([np.array(at) + np.array(size) / 2 for at, size in boxes], axis=0)
+    corners = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
+    return transform_points(T, np.c_[corners, np.zeros(4)])[:, :2]
+
+
+def carried(action: PickPlace, scene: Scene, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """What an arm without any error would make of it: the block that is picked, on the slot under the place."""
+    pick, place = action.pick, action.place
+    name = min((block.name for block in scene.blocks), key=lambda each: pick.distance(planar(poses[each])))
+    block = planar(poses[name])
+    slots = [
+        slot.T_base_slot(poses) for stage in scene.stages if name in stage.blocks for slot in stage.slots
+    ]
+    height = min(slots, key=lambda T: place.distance(planar(T)))[2, 3]
+    # The block moves with the cup, which is at its middle.
+    moved = PlanarPose(place.x, place.y, block.yaw + place.yaw - pick.yaw)
+    return poses | {name: flat(moved, height)}
+
+
+def planar(T: FloatArray) -> PlanarPose:
+    return PlanarPose(float(T[0, 3]), float(T[1, 3]), yaw_of(T))
+
+
+@given(task=tasks, seed=seeds)
+def test_a_scene_is_its_seeds(task: Task, seed: int) -> None:
+    first, second = (task.draw(np.random.default_rng(seed)) for _ in range(2))
+    assert first == second
+    assert first.poses != task.draw(np.random.default_rng(seed + 1)).poses
+
+
+@given(task=tasks, seed=seeds)
+def test_a_scene_is_without_collisions_in_view_and_in_reach(task: Task, seed: int) -> None:
+    scene = task.draw(np.random.default_rng(seed))
+    poses = poses_of(scene)
+    outlines = [footprint(thing, poses[thing.name]) for thing in (*scene.blocks, *scene.fixtures)]
+    for a, b in combinations(outlines, 2):
+        area, _ = cv2.intersectConvexConvex((1000 * a).astype(np.float32), (1000 * b).astype(np.float32))
+        assert area == 0.0
+    grid = Grid()
+    for low, high, axis in ((*grid.x, 0), (*grid.y, 1)):
+        along = np.concatenate(outlines)[:, axis]
+        assert low + MARGIN_M <= along.min()
+        assert along.max() <= high - MARGIN_M
+    ends = [slot.T_base_slot(poses) for stage in scene.stages for slot in stage.slots]
+    starts = [poses[block.name] for block in scene.blocks]
+    assert all(REACH.contains(T[0, 3], T[1, 3]) for T in ends + starts)
+
+
+@given(task=tasks, seed=seeds)
+def test_a_scene_has_what_its_task_promises(task: Task, seed: int) -> None:
+    scene = task.draw(np.random.default_rng(seed))
+    assert sum(stage.weight for stage in scene.stages) == pytest.approx(1.0)
+    assert {block.name for block in scene.blocks} <= {block.name for block in task.blocks}
+    assert {each.name for each in scene.fixtures} <= {each.name for each in task.fixtures}
+    assert set(scene.poses) == {thing.name for thing in (*scene.blocks, *scene.fixtures)}
+    for stage in scene.stages:
+        assert len(stage.slots) >= len(stage.blocks) > 0
+        assert set(stage.blocks) <= set(scene.poses)
+    assert sum(len(stage.blocks) for stage in scene.stages) <= task.max_steps
+
+
+@settings(max_examples=30, deadline=None)  # draws a scene and plays it to its end
+@given(task=tasks, seed=seeds)
+def test_the_demonstrator_needs_one_step_a_block_and_turns_the_wrist_little(task: Task, seed: int) -> None:
+    scene = task.draw(np.random.default_rng(seed))
+    poses, score, steps, heights = poses_of(scene), RavensScore(scene.stages), 0, [0.0]
+    while (action := next_action(scene.stages, poses)) is not None:
+        assert action.pick.yaw == 0.0
+        assert abs(action.place.yaw) <= np.pi / task.object_symmetry + 1e-9
+        before, poses = poses, carried(action, scene, poses)
+        (moved,) = [name for name in poses if poses[name] is not before[name]]
+        heights.append(poses[moved][2, 3])
+        assert score.count(poses) > 0.0
+        steps += 1
+    assert steps == sum(len(stage.blocks) for stage in scene.stages)
+    assert heights == sorted(heights)  # nothing goes where nothing is yet to rest on
+    assert score.done
+    assert score.total == 1.0
+    assert all_filled(scene.stages, poses)
+
+
+def test_stages_count_by_their_weights() -> None:
+    scene = pyramid.draw(np.random.default_rng(0))
+    poses, score, rewards = poses_of(scene), RavensScore(scene.stages), []
+    while (action := next_action(scene.stages, poses)) is not None:
+        poses = carried(action, scene, poses)
+        rewards.append(score.count(poses))
+    np.testing.assert_allclose(rewards, [1 / 6] * 5 + [1 / 6])
+    np.testing.assert_allclose([stage.weight for stage in scene.stages], [1 / 2, 1 / 3, 1 / 6])
+
+
+STAGE = Stage(("a", "b"), (Slot(PlanarPose(0.4, 0.0, 0.3), 0.02), Slot(PlanarPose(0.4, 0.2), 0.02)), 1.0)
+FAR = flat(PlanarPose(0.6, -0.3), 0.02)
+SLOT = PlanarPose(0.4, 0.0, 0.3)
+
+
+def reward_at(T: FloatArray, symmetry: int = 4) -> float:
+    stage = Stage(STAGE.blocks, STAGE.slots, 1.0, symmetry)
+    return RavensScore([stage]).count({"a": T, "b": FAR})
+
+
+@given(
+    turns=st.integers(-4, 4),
+    symmetry=st.sampled_from([1, 2, 4]),
+    off_deg=st.floats(-44.0, 44.0),
+    off_m=st.floats(0.0, 0.02),
+    towards=st.floats(-3.0, 3.0),
+)
+def test_a_block_counts_within_a_centimetre_and_fifteen_degrees_of_what_looks_the_same(
+    turns: int, symmetry: int, off_deg: float, off_m: float, towards: float
+) -> None:
+    yaw = SLOT.yaw + turns * 2 * np.pi / symmetry + np.deg2rad(off_deg)
+    at = PlanarPose(SLOT.x + off_m * np.cos(towards), SLOT.y + off_m * np.sin(towards), yaw)
+    if min(abs(abs(off_deg) - 15.0), 1e3 * abs(off_m - 0.01)) < 1e-3:
+        return  # on the edge
+    inside = off_m < 0.01 and abs(off_deg) < 15.0
+    assert reward_at(flat(at, 0.02), symmetry) == (0.5 if inside else 0.0)
+    assert reward_at(flat(at, 0.02), symmetry=0) == (0.5 if off_m < 0.01 else 0.0)
+
+
+def test_what_ravens_does_not_see_is_no_strict_success() -> None:
+    good = {"a": flat(SLOT, 0.02), "b": flat(PlanarPose(0.4, 0.2), 0.02)}
+    assert filled(STAGE, good) == {"a": 0, "b": 1}
+    on_its_side = good["a"].copy()
+    on_its_side[:3, :3] = on_its_side[:3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    for wrong in (
+        {"a": flat(SLOT, 0.06)},  # it stands on something
+        {"a": on_its_side},
+        {"b": flat(PlanarPose(SLOT.x + 0.005, SLOT.y, SLOT.yaw), 0.02)},  # two in one slot
+    ):
+        score = RavensScore([STAGE])
+        assert score.count(good | wrong) == 1.0
+        assert score.done
+        assert not all_filled([STAGE], good | wrong)
+    assert all_filled([STAGE], good)
+
+
+def test_two_near_one_slot_are_shared_out_where_that_is_possible() -> None:
+    near = (Slot(PlanarPose(0.4, 0.0), 0.02), Slot(PlanarPose(0.4, 0.012), 0.02))
+    stage = Stage(("a", "b"), near, 1.0)
+    poses = {"a": flat(PlanarPose(0.4, 0.006), 0.02), "b": flat(PlanarPose(0.4, -0.004), 0.02)}
+    assert filled(stage, poses) == {"a": 1, "b": 0}
+
+
+def test_what_leaves_its_slot_is_taken_back_until_the_stage_is_full() -> None:
+    score = RavensScore([STAGE])
+    at, beside = {"a": flat(SLOT, 0.02), "b": FAR}, {"a": FAR, "b": FAR}
+    assert score.count(at) == 0.5
+    assert score.count(at) == 0.0
+    assert score.count(beside) == -0.5
+    assert score.count({"a": flat(SLOT, 0.02), "b": flat(PlanarPose(0.4, 0.2), 0.02)}) == 1.0
+    assert score.done
+    assert score.count(beside) == 0.0
+    assert score.total == 1.0
+
+
+def test_a_block_of_another_stage_earns_nothing_in_a_slot() -> None:
+    scene = pyramid.draw(np.random.default_rng(1))
+    poses = poses_of(scene)
+    bottom, middle = scene.stages[0].slots[0].T_base_slot(poses), scene.stages[1].slots[0].T_base_slot(poses)
+    assert RavensScore(scene.stages).count(poses | {"red": bottom}) == 0.0
+    assert RavensScore(scene.stages).count(poses | {"purple": middle}) == 0.0
+    assert RavensScore(scene.stages).count(poses | {"purple": bottom}) == pytest.approx(1 / 6)
+
+
+def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
+    scene = find_task("align-box-corner").draw(np.random.default_rng(3))
+    poses, (stage,) = poses_of(scene), scene.stages
+    (box,) = scene.blocks
+    # One of its corners is as near to the marked one as the gap allows, its sides along the bars.
+    for slot in stage.slots:
+        for turn in (0.0, np.pi):
+            T = slot.T_base_slot(poses) @ flat(PlanarPose(0.0, 0.0, turn), 0.0)
+            assert filled(stage, poses | {"box": T})
+            in_corner = np.linalg.inv(poses["corner"]) @ np.c_[footprint(box, T), np.zeros(4), np.ones(4)].T
+            np.testing.assert_allclose(in_corner[:2].min(axis=1), 0.002, atol=1e-9)
+    quarter = stage.slots[0].T_base_slot(poses) @ flat(PlanarPose(0.0, 0.0, np.pi / 2), 0.0)
+    assert not filled(stage, poses | {"box": quarter})
+
+
+def test_bowls_hold_a_block_at_any_yaw() -> None:
+    action = carry(flat(PlanarPose(0.5, 0.1, 2.0), 0.02), flat(PlanarPose(0.4, -0.1, 1.0), 0.025), symmetry=0)
+    assert action == PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.1, 0.0))
+
+
+def test_what_looks_alike_is_taken_from_left_to_right() -> None:
+    for seed in range(20):
+        scene = TASKS["place-red-in-green"].draw(np.random.default_rng(seed))
+        (stage,) = scene.stages
+        for names in (stage.blocks, [slot.frame for slot in stage.slots]):
+            along = [scene.poses[name].y for name in names if name]
+            assert along == sorted(along, reverse=True)
+
+
+def test_an_unknown_task_is_one_line() -> None:
+    with pytest.raises(BaggieError, match=r"one of block-pyramid, .*got 'tower'"):
+        find_task("tower")

@@ -1,0 +1,274 @@
+from collections.abc import Iterator
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import baggie  # noqa: F401 -- registers the environments
+from baggie.errors import BaggieError, CameraError
+from baggie.geometry import PlanarPose
+from baggie.grid import Grid
+from baggie.sim.block_world import BlockWorld
+from baggie.sim.blocks import Block
+from baggie.sim.cell import draw_cell
+from baggie.sim.depth_cameras import DepthRenderer
+from baggie.sim.tasks import TASKS
+from baggie.types import Observation
+from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
+from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
+from baggie.workcell.camera import Camera
+from baggie.workcell.height_map_camera import HeightMapCamera
+from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
+
+GRID = Grid()
+
+
+@pytest.fixture(scope="module")
+def pyramid() -> Iterator[BlockWorkcell]:
+    cell = open_block_workcell("block-pyramid")
+    yield cell
+    cell.close()
+
+
+@pytest.fixture(scope="module")
+def bowls() -> Iterator[BlockWorkcell]:
+    cell = open_block_workcell("place-red-in-green")
+    yield cell
+    cell.close()
+
+
+def finish(cell: BlockWorkcell) -> float:
+    """Let the demonstrator work until it has nothing left to do; the rewards' sum."""
+    rewards = 0.0
+    for _ in range(cell.task.max_steps):
+        action = cell.demonstrate()
+        if action is None:
+            break
+        assert cell.execute(action).success
+        rewards += cell.count()
+    return rewards
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_pyramids_are_built_strictly_and_fall_by_the_strict_score_alone(
+    pyramid: BlockWorkcell, seed: int
+) -> None:
+    pyramid.reset([seed])
+    assert finish(pyramid) == pytest.approx(1.0)
+    assert pyramid.score.done
+    assert pyramid.strict_success()
+    if seed:
+        return
+    world = pyramid.world
+    red = world.planar_pose("red")
+    world.put("red", PlanarPose(red.x, red.y + 0.25))
+    before = world.time
+    assert not pyramid.strict_success()
+    assert world.time == before  # no need to wait for that
+    assert pyramid.count() == 0.0
+    assert pyramid.score.total == 1.0
+
+
+def test_what_will_not_stay_is_found_out_by_waiting(pyramid: BlockWorkcell) -> None:
+    pyramid.reset([2])
+    finish(pyramid)
+    world = pyramid.world
+    world.data.qvel[int(world.model.joint("red").dofadr[0])] = 1.0  # in its slot, but on its way
+    before = world.time
+    assert not pyramid.strict_success()
+    assert world.time == pytest.approx(before + 2.0, abs=0.02)
+    assert world.pose("red")[2, 3] < 0.1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_red_blocks_end_in_green_bowls_and_nothing_else_moves(bowls: BlockWorkcell, seed: int) -> None:
+    bowls.reset([seed])
+    others = [block.name for block in bowls.scene.blocks if not block.name.startswith("red")]
+    before = {name: bowls.world.planar_pose(name) for name in others}
+    assert finish(bowls) == pytest.approx(1.0)
+    assert bowls.strict_success()
+    assert others
+    assert all(bowls.world.planar_pose(name).distance(pose) < 1e-3 for name, pose in before.items())
+
+
+def test_boxes_of_many_sizes_are_aligned() -> None:
+    cell = open_block_workcell("align-box-corner", pictures=False)
+    sizes = set()
+    for seed in range(4):
+        cell.reset([seed])
+        sizes.add(cell.world.blocks["box"].size_m)
+        assert finish(cell) == 1.0
+        assert cell.strict_success()
+    assert len(sizes) == 4
+    with pytest.raises(CameraError, match="pictures=True"):
+        cell.look()
+
+
+def shown_at(
+    observation: Observation, middle: PlanarPose, size_m: tuple[float, ...], top_m: float
+) -> np.ndarray:
+    """`(N, 2)` pixels (u, v) near a block that are nearer to its top than to the table."""
+    assert observation.height is not None
+    v, u = np.nonzero(observation.height > top_m / 2)
+    pixels = np.c_[u, v].astype(float)
+    near = np.linalg.norm(pixels - GRID.to_pixels([middle.xy]), axis=1)
+    return pixels[near < (np.hypot(*size_m[:2]) / 2 + 0.006) / GRID.pixel_m]
+
+
+def test_the_height_map_shows_every_block_where_and_as_high_as_it_is(pyramid: BlockWorkcell) -> None:
+    for seed in range(3):
+        pyramid.reset([20, seed])
+        observation = pyramid.look()
+        assert observation.height is not None
+        assert observation.size == pyramid.camera.size == GRID.shape[::-1]
+        assert abs(np.median(observation.height)) < 0.002
+        for block in pyramid.scene.blocks:
+            pose, top = pyramid.world.planar_pose(block.name), block.size_m[2]
+            pixels = shown_at(observation, pose, block.size_m, top)
+            off = pixels.mean(axis=0) - GRID.to_pixels([pose.xy])[0]
+            assert np.linalg.norm(off) < 0.5
+            u, v = pixels.astype(int).T
+            assert np.median(observation.height[v, u]) == pytest.approx(top, abs=0.003)
+            seen, meant = np.median(observation.color[v, u], axis=0), np.array(block.color, float)
+            assert np.corrcoef(seen, meant)[0, 1] > 0.9
+
+
+def test_the_same_seed_gives_the_same_picture_and_no_two_pictures_are_alike(bowls: BlockWorkcell) -> None:
+    def look() -> Observation:
+        bowls.reset([7])
+        return bowls.look()
+
+    first, second = look(), look()
+    np.testing.assert_array_equal(first.color, second.color)
+    np.testing.assert_array_equal(first.height, second.height)
+    assert not np.array_equal(bowls.look().height, second.height)
+
+
+def test_cameras_of_a_workcell_keep_their_contract(pyramid: BlockWorkcell) -> None:
+    assert isinstance(pyramid.camera, Camera)
+    (front, *_), renderer = pyramid._eyes, pyramid._renderer
+    assert isinstance(front, Camera)
+    assert isinstance(renderer, DepthRenderer)
+    # Colour and depth of one pass belong together, and noise is what it says.
+    quiet = pyramid.world
+    rng = np.random.default_rng(0)
+    looks = [renderer.look(RAVENS_DEPTH_CAMERAS[0], rng) for _ in range(8)]
+    table = np.s_[200:280, 40:120]
+    depth = np.std([each.depth[table] for each in looks if each.depth is not None], axis=0)
+    color = np.std([each.color[table].astype(float) for each in looks], axis=0)
+    assert 0.0008 < depth.mean() < 0.0012
+    assert 1.0 < color.mean() < 3.0
+    assert looks[0].time == quiet.time
+
+
+def test_there_is_one_pose_for_each_camera(pyramid: BlockWorkcell) -> None:
+    with pytest.raises(BaggieError, match="got 2 poses for 3 cameras"):
+        HeightMapCamera(pyramid._eyes, [np.eye(4)] * 2)
+    with pytest.raises(BaggieError, match="one or more"):
+        HeightMapCamera([], [])
+
+
+def test_what_plays_no_part_is_not_seen(bowls: BlockWorkcell) -> None:
+    seed = next(s for s in range(20) if "red2" not in TASKS["place-red-in-green"].draw(rng_of(s)).poses)
+    bowls.reset([seed])
+    renderer = bowls._renderer
+    assert renderer is not None
+    bowls.look()
+    camera = RAVENS_DEPTH_CAMERAS[0]
+    before = renderer.look(camera, rng_of(0))
+    bowls.world.put("red2", PlanarPose(0.7, 0.0))  # in full view, were it not hidden
+    after = renderer.look(camera, rng_of(0))
+    np.testing.assert_array_equal(before.color, after.color)
+    bowls.world.model.geom_group[bowls.world.model.geom("red2").id] = 0
+    assert not np.array_equal(renderer.look(camera, rng_of(0)).color, before.color)
+
+
+def rng_of(seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed])
+
+
+def test_a_reshaped_block_is_as_if_built_so() -> None:
+    wanted = Block("a", (0.11, 0.06, 0.03), (10, 200, 30))
+    cell = draw_cell(0)
+    built, reshaped = BlockWorld(cell, [wanted, Block("b")]), BlockWorld(cell, [Block("a"), Block("b")])
+    reshaped.reshape([wanted])
+    for part in ("geom_size", "geom_rbound", "geom_aabb", "geom_rgba", "body_mass", "body_subtreemass"):
+        np.testing.assert_allclose(getattr(reshaped.model, part), getattr(built.model, part), atol=1e-6)
+    for part in ("body_invweight0", "dof_invweight0", "bvh_aabb"):
+        np.testing.assert_allclose(getattr(reshaped.model, part), getattr(built.model, part), rtol=1e-4)
+    # Inertias may be told about other axes: what counts is that both move alike.
+    ends = []
+    for world in (built, reshaped):
+        world.reset({"a": PlanarPose(0.5, 0.1, 0.4), "b": PlanarPose(0.4, -0.2)})
+        tilted = world.pose("a")
+        tilted[:3, :3] = tilted[:3, :3] @ [[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]
+        tilted[2, 3] = 0.1
+        world.put("a", tilted)
+        world.advance(0.16)
+        ends.append(world.pose("a"))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-4)
+
+
+def test_what_cannot_be_reshaped_is_one_line(bowls: BlockWorkcell) -> None:
+    with pytest.raises(BaggieError, match="got 'nothing'"):
+        bowls.world.reshape([Block("nothing")])
+    bowl = bowls.scene.fixtures[0]
+    with pytest.raises(BaggieError, match="only its colours may change"):
+        bowls.world.reshape([replace(bowl, parts=bowl.parts[:2])])
+
+
+def test_a_lens_that_cannot_be_rendered_is_one_line() -> None:
+    front = RAVENS_DEPTH_CAMERAS[0]
+    bent = replace(front, intrinsics=replace(front.intrinsics, distortion=np.array([0.1, 0, 0, 0])))
+    with pytest.raises(BaggieError, match="'front' to have square pixels"):
+        BlockWorld(draw_cell(0), [Block("a")], cameras=[bent])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_environment_is_gymnasiums() -> None:
+    env = gymnasium.make("baggie/AlignBoxCorner-v0", render_mode="rgb_array")
+    check_env(env.unwrapped, skip_render_check=True)
+    observation, _ = env.reset(seed=3)
+    action = env.unwrapped._workcell.demonstrate()
+    observation, reward, terminated, truncated, info = env.step(action.to_array().astype(np.float32))
+    assert (reward, terminated, truncated) == (1.0, True, False)
+    assert info["strict_success"]
+    assert info["partial_credit"] == 1.0
+    np.testing.assert_array_equal(env.render(), observation["color"])
+
+    env.reset(seed=4)
+    nowhere = np.array([5.0, 0, 0, 0.5, 0, 0], np.float32)
+    steps = [env.unwrapped.step(nowhere) for _ in range(3)]
+    assert [step[1:4] for step in steps] == [(0.0, False, False)] * 2 + [(0.0, False, True)]
+    assert "outside the workspace" in steps[0][4]["refused"]
+    assert not steps[-1][4]["strict_success"]
+    env.close()
+
+
+def test_every_task_has_its_environment() -> None:
+    named = {
+        spec.kwargs["task"] for spec in gymnasium.registry.values() if "envs_blocks" in str(spec.entry_point)
+    }
+    assert named == set(TASKS)
+
+
+def test_a_camera_can_be_anybodys() -> None:
+    class Still:
+        name, size, intrinsics = "still", (640, 480), RAVENS_DEPTH_CAMERAS[0].intrinsics
+
+        def look(self) -> Observation:
+            depth = np.full((480, 640), 0.5, np.float32)
+            color = np.full((480, 640, 3), 90, np.uint8)
+            return Observation(color, depth, self.intrinsics, time=4.0)
+
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    down[:3, 3] = [0.5, 0.0, 0.6]
+    seen = HeightMapCamera([Still()], [down]).look()
+    assert seen.time == 4.0
+    assert seen.height is not None
+    assert seen.height[160, 80] == pytest.approx(0.1, abs=1e-5)
+    assert seen.color[160, 80].tolist() == [90, 90, 90]
+    assert isinstance(Still(), Camera)
+    assert SimulatedDepthCamera.__doc__
