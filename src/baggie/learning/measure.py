@@ -6,9 +6,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
-from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError
 from baggie.evaluation.metrics import action_errors, references, summary
+from baggie.learning.demonstrations import shown_goal
 from baggie.policies.base import Policy
 from baggie.types import Attempt
 
@@ -22,7 +22,7 @@ def measure(policy: Policy, attempts: Sequence[Attempt]) -> dict[str, Any]:
     without_plan = 0
     for attempt in attempts:
         try:
-            action = policy.plan(attempt.before, goal_of(attempt)).action
+            action = policy.plan(attempt.before, shown_goal(attempt)).action
         except BaggieError:
             without_plan += 1
             continue

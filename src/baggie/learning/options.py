@@ -9,7 +9,20 @@ from typing import Literal
 
 from baggie.errors import BaggieError
 from baggie.policies.features import Backbone
+from baggie.policies.transporter.config import Preset
 from baggie.types import DrawnStyle
+
+_OF = {
+    ("goal_input", "backbone", "new_looks"): ("keypoint",),
+    ("weights",): ("keypoint", "regression"),
+    ("preset", "symmetry", "pick_yaw"): ("transporter",),
+}
+"""The policies that options are for; all others are for every policy."""
+_WHY = {
+    "keypoint": "which looks at a camera's own pictures",
+    "regression": "which is kept as published",
+    "transporter": "which looks at height maps",
+}
 
 
 @dataclass(frozen=True)
@@ -25,22 +38,23 @@ class TrainOptions:
     """The run's folder: config.yaml, policy.safetensors, metrics.json, TensorBoard events, what is needed to
     resume.
     """
-    policy: Literal["keypoint", "regression"] = "keypoint"
-    """`keypoint` is ours; `regression` the published baseline."""
+    policy: Literal["keypoint", "regression", "transporter"] = "keypoint"
+    """`keypoint` is ours; `regression` the published baseline; `transporter` for precision, on height maps."""
     train: int = 200
-    """How many attempts to learn from: the first successful ones, by attempt id."""
+    """How many attempts to learn from: the first successful ones, by attempt id. transporter: how many episodes."""
     val: int = 50
-    """How many attempts to measure on: the next successful ones."""
+    """How many attempts, or episodes, to measure on: the next successful ones."""
     seed: int = 0
     """Of the first weights and of all batches."""
     steps: int | None = None
-    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression."""
+    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression, 3,200 of 4 for
+    transporter."""
     device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
     """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train
     ...`.
     """
     goal_style: DrawnStyle = "solid"
-    """How goals are painted into pictures: for regression, and for keypoint with --goal-input painted."""
+    """How goals are painted into pictures: for regression, transporter, and keypoint with --goal-input painted."""
     goal_color: tuple[int, int, int] = (0, 200, 0)
     """The colour of painted goals, RGB."""
     goal_input: Literal["region", "painted"] = "region"
@@ -51,6 +65,12 @@ class TrainOptions:
     """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
     new_looks: float = 0.25
     """keypoint: the share of pictures with cloth, shape, table and clutter drawn anew, to know bags of any kind."""
+    preset: Preset = "fast"
+    """transporter: `fast` is ours; `paper` has the published sizes and takes 200 times as long a map."""
+    symmetry: int = 1
+    """transporter: how often a turn all that is picked looks the same, 4 for square blocks; 0 at any angle."""
+    pick_yaw: bool = False
+    """transporter: whether a gripper has to be turned to pick; a suction cup has not."""
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""
 
@@ -61,13 +81,15 @@ class TrainOptions:
                 f"expected --new-looks to be a share of the pictures, 0 to 1, got {self.new_looks}; "
                 "give 0.25 for a quarter of them"
             )
-        if self.policy == "regression":
-            published = "--policy regression, which is kept as published", "take --policy keypoint"
-            self._expect_default(["goal_input", "backbone", "new_looks"], *published)
+        for names, policies in _OF.items():
+            if self.policy not in policies:
+                where = f"--policy {self.policy}, {_WHY[self.policy]}"
+                self._expect_default(names, where, f"take --policy {policies[0]}")
+        if self.policy != "keypoint":
             return
         if self.goal_input == "region":
-            unpainted = "--goal-input region, which paints no goals", "add --goal-input painted"
-            self._expect_default(["goal_style", "goal_color"], *unpainted)
+            where = "--goal-input region, which paints no goals"
+            self._expect_default(("goal_style", "goal_color"), where, "add --goal-input painted")
         if self.weights is not None and self.backbone != "resnet18":
             raise BaggieError(
                 f"--weights are those of a ResNet-18, but keypoint's backbone is {self.backbone}: "

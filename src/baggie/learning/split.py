@@ -38,14 +38,19 @@ class Split:
                 "but the "
                 f"recording has {len(chosen)}: collect more, or lower --train or --val"
             )
-        for what, values in (
-            ("cells", {attempt.cell for attempt in chosen}),
-            ("picture sizes", {attempt.before.size for attempt in chosen}),
-        ):
-            if len(values) > 1:
-                raise DataError(
-                    f"a policy belongs to one cell and camera, but the recording mixes {what} "
-                    f"{sorted(values)}: "
-                    "collect each into its own folder"
-                )
+        check_alike(chosen)
         return cls(chosen[:train], chosen[train:])
+
+
+def check_alike(attempts: Sequence[Attempt]) -> None:
+    """Raise `DataError` when attempts are from different cells or cameras."""
+    for what, values in (
+        ("cells", {attempt.cell for attempt in attempts}),
+        ("picture sizes", {attempt.before.size for attempt in attempts}),
+    ):
+        if len(values) > 1:
+            raise DataError(
+                f"a policy belongs to one cell and camera, but the recording mixes {what} "
+                f"{sorted(values)}: "
+                "collect each into its own folder"
+            )

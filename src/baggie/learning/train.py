@@ -16,6 +16,9 @@ from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.results import provenance
+from baggie.learning.demonstrations import read_demonstrations
+from baggie.learning.episodes import RULE as EPISODES_RULE
+from baggie.learning.episodes import split_episodes
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.loop import Training
 from baggie.learning.measure import measure
@@ -24,9 +27,11 @@ from baggie.learning.recipe import Recipe
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import RULE, Split
+from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import checkpoint
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
+from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.types import Attempt
 from baggie.workcell.watch import REFERENCE_FILE
 
@@ -48,7 +53,9 @@ def train(
     """
     options.check()
     accelerator = _accelerator(options.device)
-    split = Split.of(open_dataset(options.data) if attempts is None else attempts, options.train, options.val)
+    recorded = open_dataset(options.data) if attempts is None else attempts
+    of_episodes = options.policy == TransporterPolicy.name
+    split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = options.steps or recipe.steps
@@ -97,6 +104,10 @@ def _accelerator(device: str) -> Accelerator:
 def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
     if options.policy == "regression":
         return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
+    if options.policy == TransporterPolicy.name:
+        painted = GoalInput("painted", options.goal_style, options.goal_color)
+        shown = read_demonstrations(attempts, options.symmetry, painted)
+        return TransporterRecipe(shown, TransporterOptions(options.preset, pick_yaw=options.pick_yaw))
     goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
     return KeypointRecipe(
         attempts, KeypointOptions(options.backbone, options.weights, goal_input, Changes(options.new_looks))
@@ -112,7 +123,7 @@ def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
         "weights": options.weights,
         "new_looks": options.new_looks,
         "split": {
-            "rule": RULE,
+            "rule": EPISODES_RULE if options.policy == TransporterPolicy.name else RULE,
             "train": [attempt.attempt_id for attempt in split.train],
             "val": [attempt.attempt_id for attempt in split.val],
         },

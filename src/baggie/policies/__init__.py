@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from baggie.policies.learned import LearnedPolicy
     from baggie.policies.oracle import OraclePolicy
     from baggie.policies.regression import RegressionPolicy
+    from baggie.policies.transporter.policy import TransporterPolicy
 
 __all__ = [
     "ColorMaskPolicy",
@@ -24,6 +25,7 @@ __all__ = [
     "OraclePolicy",
     "Policy",
     "RegressionPolicy",
+    "TransporterPolicy",
     "load_policy",
 ]
 
@@ -33,9 +35,14 @@ _MODULES = {
     "LearnedPolicy": "learned",
     "OraclePolicy": "oracle",
     "RegressionPolicy": "regression",
+    "TransporterPolicy": "transporter.policy",
 }
 """Each is imported when it is first needed: an exported policy must run where there is no PyTorch."""
-_LEARNED = {"keypoint": "KeypointPolicy", "regression": "RegressionPolicy"}
+_LEARNED = {
+    "keypoint": "KeypointPolicy",
+    "regression": "RegressionPolicy",
+    "transporter": "TransporterPolicy",
+}
 _COLOR_MASK = "color-mask"
 
 

@@ -1,0 +1,116 @@
+"""How long Transporter Networks take to learn and to decide: ours beside the published sizes, on one thread.
+
+    python benchmarks/transporter.py [--rounds 15] [--paper-rounds 3]
+
+One map of 320 x 160 pixels, 36 rotations, a suction cup. A step is a batch of one made, forward, backward, Adam; a
+decision goes from an observation to a plan. Each preset runs in a process of its own, for its peak memory. Times are
+seconds of the processor's time, which a busy machine lengthens less than the clock's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import cv2
+import numpy as np
+import torch
+
+from baggie.grid import Grid
+from baggie.learning.background import flushed_denormals
+from baggie.learning.transporter import TransporterOptions, TransporterRecipe
+from baggie.policies.transporter.config import Preset
+from baggie.types import Observation
+from box_scenes import box_demonstrations
+
+GRID = Grid()
+WARM_UP = 2
+
+
+class Times(NamedTuple):
+    """Of one preset."""
+
+    parameters: int
+    step_s: np.ndarray
+    decision_s: np.ndarray
+    decide_mb: float
+    """Peak memory of the process before it first learned, beyond what it had when it began."""
+    learn_mb: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--paper-rounds", type=int, default=3)
+    asked = parser.parse_args()
+    print("one map of 320 x 160, 36 rotations, one thread; seconds of processor time")
+    print(
+        f"{'preset':<8}{'parameters':>12}  {'what':<10}{'rounds':>7}{'median':>9}{'quartiles':>18}{'fastest':>9}"
+        f"{'slowest':>9}{'peak MB':>9}"
+    )
+    rounds: dict[Preset, int] = {"fast": asked.rounds, "paper": asked.paper_rounds}
+    for preset, count in rounds.items():
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            times = pool.apply(measure, (preset, count))
+        for what, seconds, megabytes in (
+            ("decision", times.decision_s, times.decide_mb),
+            ("step", times.step_s, times.learn_mb),
+        ):
+            low, median, high = np.percentile(seconds, (25, 50, 75))
+            print(
+                f"{preset:<8}{times.parameters:>12,}  {what:<10}{count:>7}{median:>9.3f}"
+                f"{f'{low:.3f} .. {high:.3f}':>18}{seconds.min():>9.3f}{seconds.max():>9.3f}{megabytes:>9.0f}",
+                flush=True,
+            )
+
+
+def measure(preset: Preset, rounds: int) -> Times:
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    torch.manual_seed(0)
+    shown = box_demonstrations(4, 0, grid=GRID)
+    began_mb = peak_mb()
+    recipe = TransporterRecipe(shown, TransporterOptions(preset, batch=1))
+    network = recipe.policy.network
+    seen = Observation(shown.colors[0], grid=GRID, height=shown.heights[0])
+    with flushed_denormals():
+        decision_s = timed(lambda: recipe.policy.plan(seen), rounds)
+        decide_mb = peak_mb() - began_mb
+        optimizer, rng = recipe.optimizer(), np.random.default_rng(0)
+
+        def step() -> None:
+            network.train()
+            loss, _ = recipe.loss(network, recipe.batch(rng))
+            loss.backward()
+            optimizer.step()
+            optimizer.zero_grad()
+
+        step_s = timed(step, rounds)
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    return Times(parameters, step_s, decision_s, decide_mb, peak_mb() - began_mb)
+
+
+def timed(run: Callable[[], object], rounds: int) -> np.ndarray:
+    seconds = []
+    for turn in range(min(WARM_UP, rounds) + rounds):
+        began = time.process_time()
+        run()
+        if turn >= min(WARM_UP, rounds):
+            seconds.append(time.process_time() - began)
+    return np.array(seconds)
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+if __name__ == "__main__":
+    main()

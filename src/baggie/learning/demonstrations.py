@@ -1,0 +1,121 @@
+"""Demonstrations on height maps: all that `transporter` learns from, in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.data.annotation import goal_of
+from baggie.errors import DataError
+from baggie.geometry import FloatArray
+from baggie.grid import Grid
+from baggie.policies.keypoint_plan import GoalInput
+from baggie.types import Attempt, Goal
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """N maps and what was done there. Raises `DataError` where they do not fit each other or the grid."""
+
+    colors: NDArray[np.uint8]
+    """`(N, H, W, 3)` RGB; where goals are marked, with the goal painted in."""
+    heights: NDArray[np.float32]
+    """`(N, H, W)` metres above the grid's lower bound of z."""
+    poses: FloatArray
+    """`(N, 6)`: commanded pick x, y, yaw and place x, y, yaw; metres and radians, robot base frame."""
+    symmetry: NDArray[np.int64]
+    """`(N,)`: how often a turn what was picked looks the same; 0 for any angle."""
+    grid: Grid
+    cell: int = 0
+    goal_input: GoalInput | None = None
+    """How goals are painted into the colours; None for a task that marks none."""
+
+    def __post_init__(self) -> None:
+        count = len(self.poses)
+        shapes = {
+            "colors": (self.colors.shape, (count, *self.grid.shape, 3)),
+            "heights": (self.heights.shape, (count, *self.grid.shape)),
+            "poses": (self.poses.shape, (count, 6)),
+            "symmetry": (self.symmetry.shape, (count,)),
+        }
+        for name, (came, expected) in shapes.items():
+            if came != expected or count == 0:
+                raise DataError(f"expected {name} of shape {expected}, at least one, got {came}")
+        if (self.symmetry < 0).any():
+            raise DataError(
+                f"expected symmetries of 0 (any angle), 1 (none), 2, ...; got {self.symmetry.min()}"
+            )
+        inside = self.grid.contains(self.poses[:, [0, 1, 3, 4]].reshape(-1, 2)).reshape(-1, 2).all(axis=1)
+        if not inside.all() or not np.isfinite(self.poses).all():
+            number = int(np.argmin(inside & np.isfinite(self.poses).all(axis=1)))
+            x, y = self.grid.x, self.grid.y
+            raise DataError(
+                f"expected picks and places on the map, x {x[0]} to {x[1]} m and y {y[0]} to {y[1]} m, but "
+                f"demonstration {number} goes from {self.poses[number, :2].round(4).tolist()} to "
+                f"{self.poses[number, 3:5].round(4).tolist()}; leave it out, or fuse over a larger grid"
+            )
+
+    @property
+    def common_symmetry(self) -> int:
+        """How often a turn everything that was picked looks the same: the greatest common divisor; 0 divides by all."""
+        return int(np.gcd.reduce(self.symmetry))
+
+
+def shown_goal(attempt: Attempt) -> Goal | None:
+    """Where the object came to rest, as the goal in the picture before; None for a task without a marked goal."""
+    return goal_of(attempt) if np.isfinite(attempt.box_after).all() else None
+
+
+def read_demonstrations(
+    dataset: Sequence[Attempt], symmetry: int = 1, painted: GoalInput | None = None
+) -> Demonstrations:
+    """Attempts whose picture before is a height map, the commanded poses as labels.
+
+    `symmetry`: of all that is picked. `painted`: how goals are painted, green patches by default; the task marks one
+    where all attempts' objects were found in the picture after, and none where none was.
+    Raises `DataError` where a picture is a camera's own, grids differ, or only some attempts have a goal.
+    """
+    attempts = [dataset[i] for i in range(len(dataset))]
+    if not attempts:
+        raise DataError("expected at least one attempt to learn from, got none; collect some")
+    grid, cell = attempts[0].before.grid, attempts[0].cell
+    goals = [shown_goal(attempt) for attempt in attempts]
+    without = [attempt.attempt_id for attempt, goal in zip(attempts, goals, strict=True) if goal is None]
+    if 0 < len(without) < len(attempts):
+        raise DataError(
+            f"expected a goal in every attempt or in none, but {len(without)} of {len(attempts)} have none, attempt "
+            f"{without[0]} first; leave them out"
+        )
+    goal_input = None if without else painted or GoalInput("painted")
+    colors, heights = [], []
+    for attempt, goal in zip(attempts, goals, strict=True):
+        before = attempt.before
+        if grid is None or before.grid is None or before.height is None:
+            raise DataError(
+                f"expected pictures from straight above with heights, got a camera's own in attempt "
+                f"{attempt.attempt_id}; record height maps, or train another policy"
+            )
+        if before.grid != grid:
+            raise DataError(
+                f"expected all height maps over one grid, but attempt {attempt.attempt_id} has another "
+                "than the first; fuse all over the same"
+            )
+        color = before.color
+        if goal is not None and goal_input is not None:
+            color = goal_input.network_input(color, goal).transpose(1, 2, 0)
+        colors.append(color)
+        heights.append(before.height)
+    assert grid is not None
+    poses = np.stack([attempt.commanded.to_array() for attempt in attempts])
+    return Demonstrations(
+        np.stack(colors),
+        np.stack(heights).astype(np.float32),
+        poses,
+        np.full(len(attempts), symmetry, np.int64),
+        grid,
+        cell,
+        goal_input,
+    )

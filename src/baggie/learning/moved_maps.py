@@ -1,0 +1,129 @@
+"""Whole scenes turned and shifted on the table, with the labels carried along exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.geometry import FloatArray, apply_homography, wrap_angle
+from baggie.learning.demonstrations import Demonstrations
+from baggie.types import Image
+
+_TRIES = 100
+_GAIN, _BIAS, _GAMMA = 0.08, 8.0, 0.1
+
+
+@dataclass(frozen=True)
+class Moves:
+    """What is changed in maps."""
+
+    share: float = 0.9
+    """Of the samples that are moved; the rest stay as they were recorded, as maps at work are."""
+    turn_rad: float = math.pi
+    """Turned by at most so much either way."""
+    shift_px: float = 40.0
+    """Standard deviation of the shift along each axis."""
+    margin_px: float = 2.0
+    """Pick and place stay at least this far inside the map."""
+    recolor: bool = True
+    """Whether light and colour vary a little."""
+
+
+class MovedMap(NamedTuple):
+    """One sample: a map and its labels in pixels of the map."""
+
+    color: Image
+    """`(H, W, 3)`."""
+    height: NDArray[np.float32]
+    """`(H, W)` metres."""
+    places: FloatArray
+    """`(2, 2)`: pick and place, (u, v) pixels."""
+    yaws: FloatArray
+    """`(2,)`: of pick and place, radians, from u towards v."""
+
+
+class MovedMaps:
+    """Demonstrations as N maps to draw samples from. A sample is a function of the generator alone."""
+
+    def __init__(self, demonstrations: Demonstrations, moves: Moves) -> None:
+        self._shown, self._moves = demonstrations, moves
+        poses = demonstrations.poses
+        pixels = demonstrations.grid.to_pixels(poses[:, [0, 1, 3, 4]].reshape(-1, 2))
+        self._places: FloatArray = pixels.reshape(-1, 2, 2)
+        self._yaws: FloatArray = poses[:, [2, 5]]
+        # What comes in from outside looks like the table, which is most of every map.
+        self._table_color = np.median(demonstrations.colors[:, ::4, ::4], axis=(1, 2))
+        self._table_height = np.median(demonstrations.heights[:, ::4, ::4], axis=(1, 2))
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def draw(self, rng: np.random.Generator, number: int) -> MovedMap:
+        """Demonstration `number`, moved at random; as it is where no move that was tried keeps pick and place in."""
+        rows, columns = self._shown.grid.shape
+        move = random_move(rng, self._places[number], (columns, rows), self._moves)
+        moved = self.moved(number, move)
+        if not self._moves.recolor:
+            return moved
+        gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
+        bias = _BIAS * rng.uniform(-1, 1)
+        gamma = math.exp(_GAMMA * rng.uniform(-1, 1))
+        levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
+        table = np.clip(levels, 0, 255).round().astype(np.uint8)
+        return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
+
+    def moved(self, number: int, move: FloatArray) -> MovedMap:
+        """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels."""
+        rows, columns = self._shown.grid.shape
+        color = cv2.warpPerspective(
+            self._shown.colors[number],
+            move,
+            (columns, rows),
+            flags=cv2.INTER_LINEAR,
+            borderValue=self._table_color[number].tolist(),
+        )
+        height = cv2.warpPerspective(
+            self._shown.heights[number],
+            move,
+            (columns, rows),
+            flags=cv2.INTER_LINEAR,
+            borderValue=float(self._table_height[number]),
+        )
+        turn = math.atan2(move[1, 0], move[0, 0])
+        return MovedMap(
+            np.asarray(color, np.uint8),
+            np.asarray(height, np.float32),
+            apply_homography(move, self._places[number]),
+            wrap_angle(self._yaws[number] + turn),
+        )
+
+
+def rigid_move(turn: float, shift: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """A turn (radians, from u towards v) about the middle of a map of `(width, height)` pixels, then a shift `(2,)`
+    (u, v) pixels: `(3, 3)`, pixels -> pixels, centres at integers.
+    """
+    c, s = math.cos(turn), math.sin(turn)
+    middle = (np.asarray(size) - 1) / 2
+    move = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    move[:2, 2] = middle + shift - move[:2, :2] @ middle
+    return move
+
+
+def random_move(
+    rng: np.random.Generator, places: FloatArray, size: tuple[int, int], moves: Moves
+) -> FloatArray:
+    """A rigid motion that keeps `places` `(N, 2)` (u, v) pixels within the map; none where no try does."""
+    low, high = moves.margin_px, np.asarray(size) - 1 - moves.margin_px
+    if rng.random() < moves.share:
+        for _ in range(_TRIES):
+            turn = rng.uniform(-moves.turn_rad, moves.turn_rad)
+            move = rigid_move(turn, rng.normal(0, moves.shift_px, 2), size)
+            there = apply_homography(move, places)
+            if (there >= low).all() and (there <= high).all():
+                return move
+    return np.eye(3)

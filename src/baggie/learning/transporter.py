@@ -1,0 +1,142 @@
+"""How the `transporter` policy is taught: every look at once, each as if those before it had been right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.optim import Adam, Optimizer
+
+from baggie.geometry import FloatArray, wrap_angle
+from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
+from baggie.learning.recipe import Batch
+from baggie.policies.learned import LearnedPolicy
+from baggie.policies.transporter.config import Preset, TransporterConfig
+from baggie.policies.transporter.network import TransporterNet
+from baggie.policies.transporter.policy import TransporterPolicy
+from baggie.policies.transporter.scores import Scores
+from baggie.policies.transporter.soft_targets import PlaceAngle
+from baggie.types import Attempt
+
+_RATE = {"fast": 1e-3, "paper": 1e-4}
+_BATCH = {"fast": 4, "paper": 1}
+_WARM_UP = 0.03
+"""Of the training of `fast`."""
+_BESIDE_PICK_PX = 1.0
+"""Largest error of a pick, along each axis, that the place learns to make up for."""
+_BESIDE_PLACE_PX = 4.0
+"""The same of the coarse place that the fine one starts from."""
+
+
+@dataclass(frozen=True)
+class TransporterOptions:
+    """What can be chosen about a `transporter` policy and its training."""
+
+    preset: Preset = "fast"
+    rotations: int = 36
+    pick_yaw: bool = False
+    """Whether a gripper has to be turned to pick."""
+    batch: int | None = None
+    """Maps a step; by default 4 for fast, 1 for paper, as published."""
+    moves: Moves = field(default_factory=Moves)
+
+
+class TransporterRecipe:
+    """Scenes are moved as wholes; the place is learned relative to a pick that is a little off, as picks are."""
+
+    steps: ClassVar[int] = 3200
+    average: ClassVar[bool] = True
+    max_gradient: ClassVar[float | None] = 10.0
+    policy: TransporterPolicy
+
+    def __init__(self, demonstrations: Demonstrations, options: TransporterOptions | None = None) -> None:
+        """Raises `BaggieError` for options out of range."""
+        self.options = options = options or TransporterOptions()
+        config = TransporterConfig(
+            options.preset, options.rotations, demonstrations.common_symmetry, options.pick_yaw
+        )
+        network = TransporterNet(config)
+        self.policy = TransporterPolicy(
+            network, demonstrations.grid, demonstrations.cell, demonstrations.goal_input
+        )
+        self._maps = MovedMaps(demonstrations, options.moves)
+        self._symmetry = demonstrations.symmetry
+        self._batch = options.batch or _BATCH[options.preset]
+
+    def optimizer(self) -> Optimizer:
+        """Adam, as published; at ten times the rate for `fast`."""
+        return Adam(self.policy.network.parameters(), lr=_RATE[self.options.preset], fused=True)
+
+    def rate(self, progress: float) -> float:
+        """`fast`: a short warm-up, then half a cosine. `paper`: always the same."""
+        if self.options.preset == "paper":
+            return 1.0
+        return min(1.0, (progress + 1e-3) / _WARM_UP) * (1 + math.cos(math.pi * progress)) / 2
+
+    def batch(self, rng: np.random.Generator) -> Batch:
+        """Maps, `color` `(B, 3, H, W)` uint8 and `height` `(B, H, W)` metres; labels in pixels (u, v) and radians.
+
+        `pick` `(B, 3)`: place and yaw; `held` `(B, 2)`: where it is really picked, a little off; `target` `(B, 3)`: the
+        place and turn that belong to that; `about` `(B, 2)`: where the fine look starts; and `symmetry` `(B,)`.
+        """
+        numbers = rng.integers(0, len(self._maps), self._batch)
+        samples = [self._sample(rng, int(number)) for number in numbers]
+        stacked = {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
+        batch = {name: torch.from_numpy(array) for name, array in stacked.items()}
+        return {**batch, "symmetry": torch.from_numpy(self._symmetry[numbers])}
+
+    def _sample(self, rng: np.random.Generator, number: int) -> dict[str, NDArray[Any]]:
+        moved = self._maps.draw(rng, number)
+        beside = rng.uniform(-_BESIDE_PICK_PX, _BESIDE_PICK_PX, 2)
+        target = self._target(moved, beside)
+        about = target[:2] + rng.uniform(-_BESIDE_PLACE_PX, _BESIDE_PLACE_PX, 2)
+        single = {
+            "height": moved.height,
+            "pick": np.array([*moved.places[0], moved.yaws[0]]),
+            "held": moved.places[0] + beside,
+            "target": target,
+            "about": about,
+        }
+        floats = {name: np.asarray(array, np.float32) for name, array in single.items()}
+        return {"color": np.ascontiguousarray(moved.color.transpose(2, 0, 1)), **floats}
+
+    def _target(self, moved: MovedMap, beside: FloatArray) -> FloatArray:
+        """Place and turn `(3,)` for what is held `beside` `(2,)` pixels from its pick: the thing itself ends the same.
+
+        Held at p + d and turned by a, it has to be let go at y + R(a) d; a is the least turn of those that look alike.
+        """
+        turn = float(moved.yaws[1] - moved.yaws[0])
+        fold = self.policy.network.config.symmetry
+        turn = wrap_angle(turn, 2 * math.pi / fold) if fold else 0.0
+        c, s = math.cos(turn), math.sin(turn)
+        rows, columns = moved.height.shape
+        place = moved.places[1] + np.array([[c, -s], [s, c]]) @ beside
+        return np.array([*np.clip(place, -0.5, [columns - 0.5, rows - 0.5]), turn])
+
+    def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """The sum of the looks' cross-entropies, nats."""
+        pick, target, symmetry = batch["pick"], batch["target"], batch["symmetry"]
+        held = PlaceAngle(batch["held"], pick[:, 2])
+        looks: list[Scores] = network(batch["color"], batch["height"], held, batch["about"])
+        truth_pick, truth_place = (PlaceAngle(pose[:, :2], pose[:, 2]) for pose in (pick, target))
+        grasp = torch.lcm(
+            symmetry, torch.full_like(symmetry, 2)
+        )  # two fingers change places after half a turn
+        picks = len(self.policy.network.picks)
+        losses = [look.loss(truth_pick, grasp) for look in looks[:picks]]
+        losses += [look.loss(truth_place, symmetry) for look in looks[picks:]]
+        names = [f"pick_{i}_nats" for i in range(picks)]
+        names += [f"place_{i}_nats" for i in range(len(looks) - picks)]
+        parts = {name: part.detach() for name, part in zip(names, losses, strict=True)}
+        return torch.stack(losses).sum(), parts
+
+    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
+        """Nothing: it says where, and not how surely."""
+        return {}

@@ -1,0 +1,125 @@
+"""The `transporter` policy: from the table as seen from straight above to pick and place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from baggie.errors import BaggieError
+from baggie.geometry import PlanarPose, wrap_angle
+from baggie.grid import Grid
+from baggie.policies.keypoint_plan import GoalInput
+from baggie.policies.learned import LearnedPolicy
+from baggie.policies.transporter.config import TransporterConfig
+from baggie.policies.transporter.network import Decision, TransporterNet
+from baggie.policies.transporter.scores import Scores
+from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked
+
+
+class TransporterPolicy(LearnedPolicy):
+    """Looks at orthographic pictures with height (`baggie.vision.height_map`): cameras with depth, and calibrated.
+
+    Maps may be of any size, with pixels as large as those it was trained on.
+    """
+
+    name = "transporter"
+    network: TransporterNet
+
+    def __init__(
+        self, network: TransporterNet, grid: Grid, cell: int, goal_input: GoalInput | None = None
+    ) -> None:
+        """`grid`: of its training maps; `goal_input`: how goals are painted, None for a task that marks no goal."""
+        rows, columns = grid.shape
+        super().__init__(network, (columns, rows), cell)
+        self.grid, self.goal_input = grid, goal_input
+
+    def model_config(self) -> dict[str, Any]:
+        """The network's kind, the grid, and how goals get into its input."""
+        grid = {"x": list(self.grid.x), "y": list(self.grid.y), "z": list(self.grid.z)}
+        return {
+            "network": self.network.config.config(),
+            "grid": {**grid, "pixel_m": self.grid.pixel_m},
+            "goal": None if self.goal_input is None else self.goal_input.config(),
+        }
+
+    @classmethod
+    def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
+        """The policy with an untrained network; the picture's size follows from the grid."""
+        x, y, z = (tuple(map(float, model["grid"][axis])) for axis in "xyz")
+        grid = Grid(x, y, z, float(model["grid"]["pixel_m"]))  # type: ignore[arg-type]  # pairs, of floats
+        goal_input = None if model["goal"] is None else GoalInput.of(model["goal"])
+        return cls(TransporterNet(TransporterConfig.of(model["network"])), grid, cell, goal_input)
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Where to pick and where to place, metres and radians in the robot's base frame.
+
+        A suction cup picks at yaw 0; the place's yaw is the pick's and the turn between them. Of the angles that look
+        the same (`TransporterConfig.symmetry`) the turn is the least, and so is a gripper's yaw at the pick. Confidence
+        is the share of the heat maps' weight within two cells of their peaks, the smaller of the two: among things that
+        are as good to pick it is shared. A goal is painted into the colours as in training.
+        Raises `BaggieError` where there is no height map, one with other pixels than it was trained on, or no goal
+        where it needs one.
+        """
+        grid, height = self._checked(observation)
+        color = self.painted(observation.color, goal)
+        decision = self.decide(color, height)
+        pick_xy, place_xy = (
+            grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)
+        )
+        pick_yaw, turn = float(decision.pick.angle[0]), float(decision.place.angle[0])
+        pick = PlanarPose(float(pick_xy[0]), float(pick_xy[1]), pick_yaw)
+        place = PlanarPose(float(place_xy[0]), float(place_xy[1]), wrap_angle(pick_yaw + turn))
+        where = {"pick": decision.picks[0], "place": decision.places[0]}
+        sure = min(float(scores.share()[0]) for scores in where.values())
+        views = {name: _over_map(scores, height.shape) for name, scores in where.items()}
+        return Plan(PickPlace(pick, place), min(max(sure, 0.0), 1.0), views=views)
+
+    def painted(self, color: Image, goal: Goal | None) -> Image:
+        """The colours `(H, W, 3)` with the goal in them. Raises `BaggieError` where it is missing or leaves the map."""
+        if self.goal_input is not None:
+            goal = marked(goal)
+        if goal is None:
+            return color
+        drawn = self.goal_input or GoalInput("painted")
+        return drawn.network_input(color, goal).transpose(1, 2, 0)
+
+    def decide(self, color: Image, height: NDArray[np.float32]) -> Decision:
+        """Run the network on one map: `(H, W, 3)` uint8 with the goal in it, `(H, W)` metres."""
+        colors = torch.from_numpy(np.ascontiguousarray(color.transpose(2, 0, 1)))[None]
+        heights = torch.from_numpy(np.array(height, np.float32))[None]  # a copy: the map may be read-only
+        self.network.eval()
+        with torch.inference_mode():
+            return self.network.decide(colors.to(self.device), heights.to(self.device))
+
+    def _checked(self, observation: Observation) -> tuple[Grid, NDArray[np.float32]]:
+        grid, height = observation.grid, observation.height
+        if grid is None or height is None:
+            raise BaggieError(
+                "expected a picture from straight above, with a grid and heights, got a camera's own; "
+                "fuse what calibrated cameras with depth see, with baggie.vision.height_map.fuse"
+            )
+        if not np.isclose(grid.pixel_m, self.grid.pixel_m, rtol=1e-6) or grid.z[0] != self.grid.z[0]:
+            raise BaggieError(
+                f"expected pixels of {self.grid.pixel_m} m and heights from z = {self.grid.z[0]} m, as in training, "
+                f"got {grid.pixel_m} m and z = {grid.z[0]} m; fuse over the grid it was trained on"
+            )
+        if not observation.color.shape[:2] == height.shape == grid.shape:
+            raise BaggieError(
+                f"expected colours and heights of the grid's {grid.shape[1]} x {grid.shape[0]} pixels, got "
+                f"{observation.color.shape[1]} x {observation.color.shape[0]} and {height.shape[1]} x "
+                f"{height.shape[0]}; give all three from one height map"
+            )
+        return grid, height
+
+
+def _over_map(scores: Scores, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """The heat of the first look at the map's own size, its peak at 1: `(H, W)`."""
+    heat: Tensor = scores.heat()[0]
+    heat = heat / heat.max()
+    full = heat.repeat_interleave(scores.stride, 0).repeat_interleave(scores.stride, 1)
+    return np.ascontiguousarray(full[: shape[0], : shape[1]].cpu().numpy(), np.float32)
