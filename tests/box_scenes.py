@@ -89,7 +89,7 @@ def box_attempts(count: int, seed: int, symmetry: int = 1, grid: Grid = GRID) ->
             box_after=np.full((4, 2), np.nan),
             episode=i // 2,
             step=i % 2,
-            reward=0.5 + 0.5 * (i % 2),
+            reward=0.5,
         )
         for i in range(count)
     ]

@@ -267,7 +267,7 @@ def test_no_episode_is_split(train_on, val, seed):
 
 
 def test_only_episodes_that_did_their_task_teach_and_of_them_what_succeeded():
-    unfinished = replace(ATTEMPTS[1], reward=0.5)
+    unfinished = replace(ATTEMPTS[1], reward=0.25)
     missed = replace(ATTEMPTS[2], outcome=replace(ATTEMPTS[2].outcome, failure="missed-grasp"))
     split = split_episodes([ATTEMPTS[0], unfinished, missed, *ATTEMPTS[3:8]], 2, 1)
     assert [attempt.attempt_id for attempt in split.train] == [3, 4, 5]
