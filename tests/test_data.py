@@ -21,6 +21,7 @@ from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.lerobot import DTYPES, IMAGE, NUMERIC_FEATURES
 from baggie.errors import DataError
 from baggie.geometry import PlanarPose
+from baggie.grid import Grid
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
 from synthetic import TASK, make_attempt
 
@@ -78,7 +79,20 @@ cameras = st.builds(
     hnp.arrays(float, (3, 3), elements=finite),
     st.sampled_from([0, 4, 5, 8]).flatmap(lambda n: hnp.arrays(float, n, elements=finite)),
 )
-observations = st.builds(Observation, colors, st.none() | depths, st.none() | cameras, finite)
+metres = st.floats(-2, 2)
+
+
+def grid_of(x: float, y: float, z: float, pixel_m: float) -> Grid:
+    """A grid of SIZE pixels."""
+    return Grid((x, x + SIZE[0] * pixel_m), (y, y + SIZE[1] * pixel_m), (z, z + 0.3), pixel_m)
+
+
+grids = st.builds(grid_of, metres, metres, metres, st.floats(1e-3, 1e-2))
+ten_micrometres = seeds.map(lambda seed: np.random.default_rng(seed).integers(0, 2**16, (36, 64)))
+heights = ten_micrometres.map(lambda steps: (steps / 100_000).astype(np.float32))
+of_cameras = st.builds(Observation, colors, st.none() | depths, st.none() | cameras, finite)
+orthographic = st.builds(Observation, colors, st.none(), st.none(), finite, grids, st.none() | heights)
+observations = of_cameras | orthographic
 outcomes = st.builds(
     Outcome,
     actions,
@@ -105,6 +119,9 @@ attempts = st.builds(
     whole,
     st.floats(0, 2e9),
     st.none() | st.builds(Truth, poses, poses),
+    st.none() | st.integers(0, 2**63 - 1),
+    st.just(0),
+    st.none() | numbers,
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import itertools
 import json
@@ -12,7 +13,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ import pytest
 
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import DataError
+from baggie.types import Attempt
 from synthetic import TASK, make_attempt
 
 SIZE = (64, 36)
@@ -30,10 +33,21 @@ def writer(root: Path) -> DatasetWriter:
     return DatasetWriter(root, task=TASK, robot_type="drawn", picture_size=SIZE, collection={"seed": 0})
 
 
+def attempt_of(attempt_id: int) -> Attempt:
+    """Attempts from 100 on are the steps of episode 1, from 200 on of episode 2, ...; the others stand alone."""
+    attempt = make_attempt(attempt_id, np.random.default_rng(attempt_id), SIZE)
+    episode, step = divmod(attempt_id, 100)
+    return (
+        dataclasses.replace(attempt, episode=episode, step=step, reward=0.3, after=None)
+        if episode
+        else attempt
+    )
+
+
 def append(root: Path, *ids: int) -> None:
     with writer(root) as recording:
         for i in ids:
-            recording.append(make_attempt(i, np.random.default_rng(i), SIZE))
+            recording.append(attempt_of(i))
 
 
 def expect_whole(root: Path, ids: set[int]) -> None:
@@ -41,11 +55,12 @@ def expect_whole(root: Path, ids: set[int]) -> None:
     dataset = open_dataset(root)
     assert dataset.attempt_ids.tolist() == sorted(ids)
     for attempt in dataset:
-        expected = make_attempt(attempt.attempt_id, np.random.default_rng(attempt.attempt_id), SIZE)
+        expected = attempt_of(attempt.attempt_id)
         np.testing.assert_array_equal(attempt.before.color, expected.before.color)
-        assert attempt.after is not None
-        assert expected.after is not None
-        np.testing.assert_array_equal(attempt.after.color, expected.after.color)
+        assert (attempt.after is None) == (expected.after is None)
+        if attempt.after and expected.after:
+            np.testing.assert_array_equal(attempt.after.color, expected.after.color)
+        assert (attempt.episode, attempt.step) == (expected.episode, expected.step)
         assert attempt.outcome == expected.outcome
 
 
@@ -55,18 +70,37 @@ def expect_clean(root: Path, ids: set[int]) -> None:
     index = root / "attempts/index.parquet"
     if index.exists():
         assert set(pq.read_table(index)["attempt_id"].to_pylist()) <= ids
-    for pattern in ("data/*/*", "meta/episodes/*/*", "attempts/*/*"):
-        assert len(list(root.glob(pattern))) == len(ids), pattern
+    lengths = Counter(i // 100 if i >= 100 else -1 - i for i in ids)
+    assert len(list(root.glob("attempts/*/*"))) == len(ids)
+    for pattern in ("data/*/*", "meta/episodes/*/*"):
+        assert len(list(root.glob(pattern))) == len(lengths), pattern
     assert list(root.glob(".baggie/partial/*")) == []
     stats = json.loads((root / "meta/stats.json").read_text())
     assert stats["action"]["count"] == [len(ids)]
-    frames = [pq.read_table(path) for path in sorted(root.glob("data/*/*.parquet"))]
-    assert [frame["episode_index"][0].as_py() for frame in frames] == list(range(len(ids)))
-    assert {frame["annotation.attempt_id"][0].as_py() for frame in frames} == ids
+    info = json.loads((root / "meta/info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"]) == (len(lengths), len(ids))
+    start, seen = 0, []
+    for episode in range(len(lengths)):
+        file = f"chunk-000/file-{episode:03d}.parquet"
+        frames = pq.read_table(root / "data" / file)
+        row = pq.read_table(root / "meta/episodes" / file).to_pylist()[0]
+        length = len(frames)
+        assert (row["episode_index"], row["length"]) == (episode, length)
+        assert (row["dataset_from_index"], row["dataset_to_index"]) == (start, start + length)
+        assert row["stats/action/count"] == [length]
+        actions = np.array(frames["action"].to_pylist())
+        np.testing.assert_allclose(row["stats/action/mean"], actions.mean(axis=0), atol=1e-12)
+        assert frames["episode_index"].to_pylist() == [episode] * length
+        assert frames["frame_index"].to_pylist() == frames["timestamp"].to_pylist() == list(range(length))
+        assert frames["index"].to_pylist() == list(range(start, start + length))
+        seen += frames["annotation.attempt_id"].to_pylist()
+        start += length
+    assert len(seen) == len(ids)
+    assert set(seen) == ids
 
 
-def _die_at(step: int, root: Path) -> None:
-    """Append attempt 7, dying instead of the `step`-th renaming of a file to its place."""
+def _die_at(step: int, root: Path, attempt_id: int) -> None:
+    """Append an attempt, dying instead of the `step`-th renaming of a file to its place."""
     calls, replace = 0, os.replace
 
     def dying(source: Path, target: Path) -> None:
@@ -77,54 +111,107 @@ def _die_at(step: int, root: Path) -> None:
         replace(source, target)
 
     os.replace = dying  # type: ignore[assignment]
-    append(root, 7)
+    append(root, attempt_id)
 
 
-@pytest.mark.parametrize("before", [(), (3, 1)])
-def test_dying_at_any_step_loses_and_doubles_nothing(tmp_path: Path, before: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("before", "dying", "next_one"),
+    [
+        ((), 7, 8),
+        ((3, 1), 7, 8),
+        ((), 100, 101),  # begins an episode
+        ((3, 100, 101), 102, 103),  # goes on with one
+        ((100, 101), 200, 201),  # begins another
+        ((3, 100, 101), 7, 200),  # ends one by standing alone
+    ],
+)
+def test_dying_at_any_step_loses_and_doubles_nothing(
+    tmp_path: Path, before: tuple[int, ...], dying: int, next_one: int
+) -> None:
     outcomes = []
     for step in itertools.count(1):
         root = tmp_path / str(step)
         append(root, *before)
-        child = multiprocessing.get_context("fork").Process(target=_die_at, args=(step, root))
+        child = multiprocessing.get_context("fork").Process(target=_die_at, args=(step, root, dying))
         child.start()
         child.join()
         expect_whole(root, set(open_dataset(root).attempt_ids.tolist()))  # readable before any repair
         with writer(root) as recording:
             present = recording.attempt_ids
-        assert set(before) <= present <= {*before, 7}
+        assert set(before) <= present <= {*before, dying}
         if present:
             expect_clean(root, present)
-        outcomes.append((child.exitcode, 7 in present))
+        outcomes.append((child.exitcode, dying in present))
         if child.exitcode == 0:
             break
-        append(root, *({7, 8} - present))
-        expect_clean(root, {*before, 7, 8})
+        append(root, *sorted({dying, next_one} - present))
+        expect_clean(root, {*before, dying, next_one})
     # Removed as long as the frame is not in its place; completed from then on, before statistics, description
     # and index; there when append returned.
     removed, completed = (9, False), (9, True)
     assert outcomes == [removed] * (len(outcomes) - 4) + [completed] * 3 + [(0, True)]
 
 
+def _repair_dying_at(step: int, root: Path) -> None:
+    """Open for writing, dying instead of the `step`-th file put in its place or removed."""
+    calls, real = 0, {"replace": os.replace, "unlink": os.unlink}
+
+    def dying(name: str) -> Callable[..., object]:
+        def call(*arguments: object) -> object:
+            nonlocal calls
+            calls += 1
+            if calls == step:
+                os._exit(9)
+            return real[name](*arguments)  # type: ignore[operator]
+
+        return call
+
+    for name in real:
+        setattr(os, name, dying(name))
+    writer(root).close()
+
+
+@pytest.mark.parametrize("died_at", [1, 2, 3, 4])
+def test_dying_in_a_repair_is_repaired(tmp_path: Path, died_at: int) -> None:
+    """Of a writer that died going on with an episode."""
+    fork = multiprocessing.get_context("fork")
+    for step in itertools.count(1):
+        root = tmp_path / str(step)
+        append(root, 3, 100, 101)
+        child = fork.Process(target=_die_at, args=(died_at, root, 102))
+        child.start()
+        child.join()
+        child = fork.Process(target=_repair_dying_at, args=(step, root))
+        child.start()
+        child.join()
+        writer(root).close()
+        expect_clean(root, {3, 100, 101} if died_at < 4 else {3, 100, 101, 102})
+        if child.exitcode == 0:
+            break
+    assert step > 2
+
+
 _RECORD = """
-import sys, numpy as np
+import sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from test_data_safety import SIZE, make_attempt, writer
+from test_data_safety import attempt_of, writer
 with writer(Path(sys.argv[1])) as recording:
-    for i in range(12):
+    for i in map(int, sys.argv[3].split(",")):
         if i not in recording.attempt_ids:
-            recording.append(make_attempt(i, np.random.default_rng(i), SIZE))
+            recording.append(attempt_of(i))
             print(i, flush=True)
 print("done", flush=True)
 """
 
 
-def test_kill_9_again_and_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ids", [range(12), [*range(100, 106), 0, *range(200, 205)]])
+def test_kill_9_again_and_again(tmp_path: Path, ids: Sequence[int]) -> None:
     returned: list[str] = []
     draw = random.Random(0)
     for run in range(3):
-        command = [sys.executable, "-c", _RECORD, str(tmp_path / "data"), str(Path(__file__).parent)]
+        arguments = [str(tmp_path / "data"), str(Path(__file__).parent), ",".join(map(str, ids))]
+        command = [sys.executable, "-c", _RECORD, *arguments]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
             assert child.stdout is not None
             lines = [child.stdout.readline().strip()]  # it is recording now
@@ -134,10 +221,13 @@ def test_kill_9_again_and_again(tmp_path: Path) -> None:
             lines += child.stdout.read().split()
         returned += [line for line in lines if line.isdigit()]
     assert len(returned) == len(set(returned))
-    expect_clean(tmp_path / "data", set(range(12)))
+    expect_clean(tmp_path / "data", set(ids))
 
 
-def test_a_full_disk_costs_nothing_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("first", [0, 100])
+def test_a_full_disk_costs_nothing_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
     real = {"fsync": os.fsync, "replace": os.replace}
     calls = 0
     fails_at = 1
@@ -152,11 +242,11 @@ def test_a_full_disk_costs_nothing_recorded(tmp_path: Path, monkeypatch: pytest.
 
         return call
 
-    append(tmp_path, 0)
+    append(tmp_path, first)
     with writer(tmp_path) as recording:
-        for attempt_id in itertools.count(1):
-            attempt = make_attempt(attempt_id, np.random.default_rng(attempt_id), SIZE)
-            calls, fails_at = 0, attempt_id
+        for attempt_id in itertools.count(first + 1):
+            attempt = attempt_of(attempt_id)
+            calls, fails_at = 0, attempt_id - first
             for name in real:
                 monkeypatch.setattr(os, name, failing(name))
             try:
@@ -164,14 +254,14 @@ def test_a_full_disk_costs_nothing_recorded(tmp_path: Path, monkeypatch: pytest.
             except DataError as error:
                 monkeypatch.undo()
                 assert str(error).startswith("no space left on the disk")  # noqa: PT017
-                assert set(range(attempt_id)) <= set(open_dataset(tmp_path).attempt_ids.tolist())
+                assert set(range(first, attempt_id)) <= set(open_dataset(tmp_path).attempt_ids.tolist())
             else:
                 monkeypatch.undo()
                 break  # every step of an append has failed once
             if attempt_id not in recording.attempt_ids:  # space was freed
                 recording.append(attempt)
-    assert attempt_id > 10
-    expect_clean(tmp_path, set(range(attempt_id + 1)))
+    assert attempt_id - first > 10
+    expect_clean(tmp_path, set(range(first, attempt_id + 1)))
 
 
 @pytest.mark.parametrize(
@@ -202,6 +292,17 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str, damage: str) -> None
     assert {p: p.read_bytes() for p in tmp_path.rglob("*.parquet")} == before  # no good file was removed
     path.write_bytes(content)
     expect_clean(tmp_path, {0, 1, 2})
+
+
+@pytest.mark.parametrize("lost", [100, 101, 102])
+def test_a_lost_record_of_an_episode_is_noticed(tmp_path: Path, lost: int) -> None:
+    append(tmp_path, 7, 100, 101, 102)
+    (tmp_path / f"attempts/chunk-000/attempt-{lost:06d}.parquet").unlink()
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*.parquet")}
+    for use in (open_dataset, writer):
+        with pytest.raises(DataError, match="record of"):
+            use(tmp_path)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*.parquet")} == before
 
 
 def test_damage_inside_a_file_is_named_when_it_is_read(tmp_path: Path) -> None:

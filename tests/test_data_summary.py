@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -12,7 +14,8 @@ import pytest
 
 from baggie.data import DatasetWriter, contact_sheet, inspect_dataset, open_dataset
 from baggie.errors import DataError
-from baggie.types import Image
+from baggie.grid import Grid
+from baggie.types import Image, Observation
 from synthetic import TASK, WORKSPACE, make_attempt
 
 SIZE = (160, 90)
@@ -89,3 +92,45 @@ def test_contact_sheet_shows_at_most_so_many(recording: Path, tmp_path: Path) ->
     one = load(contact_sheet(recording, tmp_path / "1.png", columns=1, limit=1))
     three = load(contact_sheet(recording, tmp_path / "3.png", columns=1, limit=3))
     assert three.shape[0] == 3 * one.shape[0]
+
+
+def test_episodes_are_counted_with_what_they_scored(tmp_path: Path) -> None:
+    assert "episodes" not in inspect_dataset_of(tmp_path / "none", [])
+    rewards = [0.5, 0.5, 0.25, 0.0, *[1 / 6] * 6]  # three episodes, of two, two and six attempts
+    summary = inspect_dataset_of(tmp_path / "three", rewards)
+    assert summary["episodes"] == {"count": 3, "attempts": 10, "finished": 2, "mean_score": 0.75}
+    assert inspect_dataset_of(tmp_path / "uncounted", [None] * 10)["episodes"] == {"count": 3, "attempts": 10}
+
+
+def inspect_dataset_of(root: Path, rewards: Sequence[float | None]) -> dict[str, Any]:
+    steps = [(0, 0), (0, 1), (4, 0), (4, 1), *((2, step) for step in range(6))]
+    with DatasetWriter(root, task=TASK, robot_type="drawn", picture_size=SIZE) as writer:
+        writer.append(make_attempt(99, np.random.default_rng(0), SIZE))
+        for i, reward in enumerate(rewards):
+            attempt = make_attempt(i, np.random.default_rng(i), SIZE)
+            episode, step = steps[i]
+            writer.append(dataclasses.replace(attempt, episode=episode, step=step, reward=reward))
+    return inspect_dataset(root)
+
+
+def test_contact_sheet_of_pictures_from_above(tmp_path: Path) -> None:
+    grid = Grid()
+    rows, columns = grid.shape
+    with DatasetWriter(tmp_path, task=TASK, robot_type="drawn", picture_size=(columns, rows)) as writer:
+        for step in range(2):
+            attempt = make_attempt(step, np.random.default_rng(step), SIZE)
+            seen = Observation(np.full((rows, columns, 3), 60 + 60 * step, np.uint8), grid=grid)
+            nowhere = np.full((4, 2), np.nan)
+            attempt = dataclasses.replace(
+                attempt, before=seen, after=None, box_before=nowhere, box_after=nowhere, episode=0, step=step
+            )
+            writer.append(attempt)
+    sheet = load(contact_sheet(tmp_path, tmp_path / "sheet.png", columns=1)).astype(int)
+    first = sheet[: len(sheet) // 2][3:-3, 3:-3]
+    before, after = first[:, :columns], first[:, columns:]
+    assert after[-1, -1].tolist() == [120, 120, 120]  # the next one's picture before
+    executed = open_dataset(tmp_path)[0].outcome.executed
+    for picture, channel, pose in ((before, 2, executed.pick), (after, 1, executed.place)):
+        others = np.delete(picture, channel, axis=2).max(axis=2)
+        drawn = np.argwhere(picture[..., channel] - others > 60)[:, ::-1]
+        assert np.allclose(drawn.mean(axis=0), grid.to_pixels(pose.xy)[0], atol=1)

@@ -14,6 +14,8 @@ from baggie.collect import CollectOptions
 from baggie.collect import collect as run_collect
 from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
+from baggie.data.ravens_convert import ImportOptions
+from baggie.data.ravens_convert import import_ravens as run_import_ravens
 from baggie.errors import BaggieError
 from baggie.evaluation.closed_loop import EvaluateOptions
 from baggie.evaluation.closed_loop import evaluate as run_evaluate
@@ -58,6 +60,22 @@ def inspect(
     if summary["attempts"]:
         summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
     show(summary, json)
+
+
+def import_ravens(folder: tyro.conf.Positional[Path], options: ImportOptions, json: bool = False) -> None:
+    """Convert demonstrations of the Ravens benchmark into a recording. The same command again goes on.
+
+    FOLDER is one of those that Ravens' demos.py writes, with action, color, depth, info and reward in it. Its three
+    views become one picture from straight above, each action an attempt, each episode an episode.
+
+    Example: baggie import-ravens stack-block-pyramid-train --out recordings/pyramid
+
+    Args:
+        folder: The folder of a task's demonstrations.
+        options: Where to, and over which part of the table.
+        json: Print what the recording holds then as one JSON object.
+    """
+    show(run_import_ravens(folder, options), json)
 
 
 def train(options: TrainOptions, json: bool = False) -> None:
@@ -134,7 +152,18 @@ def print_target(options: PrintOptions, json: bool = False) -> None:
 
 VERBS: dict[str, Callable[..., None]] = {
     verb.__name__.replace("_", "-"): verb
-    for verb in (collect, inspect, train, validate, evaluate, report, export, calibrate, print_target)
+    for verb in (
+        collect,
+        inspect,
+        import_ravens,
+        train,
+        validate,
+        evaluate,
+        report,
+        export,
+        calibrate,
+        print_target,
+    )
 }
 
 

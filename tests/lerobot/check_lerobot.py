@@ -52,11 +52,22 @@ SCALARS = {
 }
 
 
+Episodes = list[list[int]]
+"""The ids of the attempts in each of LeRobot's episodes."""
+
+
 def write_drawn(root: Path, attempts: int = 13) -> None:
-    """A dataset with failures, lost bags, and attempts out of order."""
+    """A dataset with failures, lost bags, attempts out of order, and episodes of several, one of them not done."""
     rng = np.random.default_rng(0)
+    longer = {3: (attempts, 0.5), 7: (attempts + 2, 0.25)}  # written before these; first id and reward each
     with DatasetWriter(root, task=TASK, robot_type="drawn", collection={"seed": 0}) as writer:
         for attempt_id in rng.permutation(attempts).tolist():
+            if attempt_id in longer:
+                first, reward = longer[attempt_id]
+                for step in range(2 if reward == 0.5 else 3):
+                    one = make_attempt(first + step, rng)
+                    after = None if step == 0 else one.after
+                    writer.append(replace(one, after=after, episode=attempt_id, step=step, reward=reward))
             failure = {2: "missed-grasp", 5: "dropped"}.get(attempt_id)
             attempt = make_attempt(attempt_id, rng, failure=failure)
             if attempt_id == 5:
@@ -64,12 +75,17 @@ def write_drawn(root: Path, attempts: int = 13) -> None:
             writer.append(attempt)
 
 
-def expect_equal(dataset: LeRobotDataset, ours: Dataset, ids: list[int]) -> None:
+def expect_equal(dataset: LeRobotDataset, ours: Dataset, episodes: Episodes) -> None:
     """Every frame of a LeRobot dataset is the attempt of ours it should be, and so are its statistics."""
-    assert dataset.num_frames == dataset.num_episodes == len(dataset) == len(ids), (len(dataset), len(ids))
+    ids = [attempt_id for episode in episodes for attempt_id in episode]
+    assert dataset.num_frames == len(dataset) == len(ids), (len(dataset), len(ids))
+    assert dataset.num_episodes == len(episodes), (dataset.num_episodes, len(episodes))
     numbers, rows = ours.numbers(), [ours.attempt_ids.tolist().index(i) for i in ids]
-    for index, row in enumerate(rows):
+    places = [(number, step) for number, episode in enumerate(episodes) for step in range(len(episode))]
+    earned = 0.0
+    for index, (row, (number, step)) in enumerate(zip(rows, places, strict=True)):
         frame, attempt = dataset[index], ours[row]
+        earned = (earned if step else 0.0) + (attempt.reward or 0.0)
         picture = (frame[IMAGE].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
         np.testing.assert_array_equal(picture, attempt.before.color)
         np.testing.assert_array_equal(frame["action"], np.float32(attempt.outcome.executed.to_array()))
@@ -77,12 +93,14 @@ def expect_equal(dataset: LeRobotDataset, ours: Dataset, ids: list[int]) -> None
         np.testing.assert_array_equal(frame["observation.state"], box)
         assert frame["annotation.attempt_id"].item() == attempt.attempt_id
         assert frame["next.success"].item() == attempt.outcome.success
-        assert frame["next.done"].item() is True
+        assert frame["next.done"].item() is (attempt.episode is None or earned > 0.999)
         assert frame["annotation.time_us"].item() == round(attempt.time * 1e6)
         for theirs, name in SCALARS.items():
             assert frame[f"annotation.{theirs}"].item() == np.float32(numbers[name][row]), name
         assert frame["task"] == attempt.task
-        assert frame["index"].item() == frame["episode_index"].item() == index
+        assert frame["index"].item() == index
+        assert frame["episode_index"].item() == number
+        assert frame["frame_index"].item() == frame["timestamp"].item() == attempt.step == step
     actions = np.float32(numbers["executed"][rows])
     stats = dataset.meta.stats
     np.testing.assert_allclose(stats["action"]["mean"], actions.mean(axis=0), rtol=1e-5, atol=1e-7)
@@ -99,8 +117,11 @@ class Checks:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.ours = open_dataset(root)
-        by_episode = np.argsort(self.ours.numbers()["episode_index"])
-        self.ids: list[int] = self.ours.attempt_ids[by_episode].tolist()
+        numbers = self.ours.numbers()
+        order = np.lexsort((numbers["step"], numbers["episode_index"]))
+        self.ids: list[int] = self.ours.attempt_ids[order].tolist()
+        starts = np.flatnonzero(np.diff(numbers["episode_index"][order])) + 1
+        self.episodes: Episodes = [part.tolist() for part in np.split(self.ours.attempt_ids[order], starts)]
 
     def load(self, root: Path | None = None, name: str = "check/attempts") -> LeRobotDataset:
         return LeRobotDataset(name, root=root or self.root)
@@ -108,7 +129,7 @@ class Checks:
     def loads_and_equals(self) -> str:
         """LeRobotDataset loads, every frame and every statistic is what baggie reads"""
         dataset = self.load()
-        expect_equal(dataset, self.ours, self.ids)
+        expect_equal(dataset, self.ours, self.episodes)
         actions = np.float32(self.ours.numbers()["executed"])
         pixels = self.ours.colors().reshape(-1, 3) / 255
         for name, q in {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}.items():
@@ -117,7 +138,7 @@ class Checks:
             )
             expected = np.quantile(pixels, q, axis=0).reshape(3, 1, 1)
             np.testing.assert_allclose(dataset.meta.stats[IMAGE][name], expected, rtol=1e-6)
-        return f"{len(dataset)} frames, exact quantiles"
+        return f"{len(dataset)} frames in {len(self.episodes)} episodes, exact quantiles"
 
     def policy_features(self) -> str:
         """A policy's inputs and outputs are what they should be, no more"""
@@ -132,6 +153,23 @@ class Checks:
         seen = [i for batch in loader for i in batch["annotation.attempt_id"].tolist()]
         assert sorted(seen) == sorted(self.ids), seen
         return f"{len(seen)} attempts"
+
+    def chunks(self) -> str:
+        """The actions that follow a frame are those of its own episode, padded at its end"""
+        steps = [0.0, 1.0, 2.0]
+        dataset = LeRobotDataset("check/attempts", root=self.root, delta_timestamps={"action": steps})
+        executed = dict(zip(self.ours.attempt_ids.tolist(), self.ours.numbers()["executed"], strict=True))
+        padded = 0
+        places = [(episode, step) for episode in self.episodes for step in range(len(episode))]
+        for index, (episode, step) in enumerate(places):
+            following = [min(step + int(ahead), len(episode) - 1) for ahead in steps]
+            expected = np.float32([executed[episode[place]] for place in following])
+            frame = dataset[index]
+            np.testing.assert_array_equal(frame["action"], expected)
+            pad = [step + int(ahead) >= len(episode) for ahead in steps]
+            assert frame["action_is_pad"].tolist() == pad, (index, frame["action_is_pad"], pad)
+            padded += sum(pad)
+        return f"{len(places)} chunks, {padded} actions padded"
 
     def trains(self) -> str:
         """lerobot-train makes a checkpoint of ACT"""
@@ -171,29 +209,29 @@ class Checks:
         return f"{saved.name}, {saved.stat().st_size} bytes"
 
     def deletes(self) -> str:
-        """delete_episodes drops these attempts and keeps the others whole"""
-        gone = [0, 3, len(self.ids) - 1]
+        """delete_episodes drops these episodes and keeps the others whole"""
+        gone = [0, 3, len(self.episodes) - 1]
         result = delete_episodes(self.load(), gone, output_dir=_SCRATCH / "deleted", repo_id="check/deleted")
-        kept = [attempt_id for episode, attempt_id in enumerate(self.ids) if episode not in gone]
+        kept = [episode for number, episode in enumerate(self.episodes) if number not in gone]
         expect_equal(result, self.ours, kept)
         return f"{len(gone)} gone, {len(kept)} left"
 
     def splits(self) -> str:
         """split_dataset makes two datasets of all attempts"""
         parts = split_dataset(self.load(), {"train": 0.75, "val": 0.25}, output_dir=_SCRATCH / "split")
-        cut = int(0.75 * len(self.ids))
-        expect_equal(parts["train"], self.ours, self.ids[:cut])
-        expect_equal(parts["val"], self.ours, self.ids[cut:])
-        return f"{cut} + {len(self.ids) - cut}"
+        cut = int(0.75 * len(self.episodes))
+        expect_equal(parts["train"], self.ours, self.episodes[:cut])
+        expect_equal(parts["val"], self.ours, self.episodes[cut:])
+        return f"{cut} + {len(self.episodes) - cut} episodes"
 
     def merges(self) -> str:
         """merge_datasets joins the parts again, and a recording to itself"""
         parts = [self.load(_SCRATCH / "split" / name, f"check/{name}") for name in ("val", "train")]
-        cut = int(0.75 * len(self.ids))
+        cut = int(0.75 * len(self.episodes))
         merged = merge_datasets(parts, "check/merged", output_dir=_SCRATCH / "merged")
-        expect_equal(merged, self.ours, self.ids[cut:] + self.ids[:cut])
+        expect_equal(merged, self.ours, self.episodes[cut:] + self.episodes[:cut])
         twice = merge_datasets([self.load(), self.load()], "check/twice", output_dir=_SCRATCH / "twice")
-        expect_equal(twice, self.ours, self.ids * 2)
+        expect_equal(twice, self.ours, self.episodes * 2)
         return f"{len(merged)} and {len(twice)} frames"
 
     def resumes(self) -> str:
@@ -256,8 +294,8 @@ def main() -> int:
     logging.disable(logging.WARNING)  # LeRobot says at every turn which video decoders are missing
     checks = Checks(root)
     tests: list[Callable[[], str]] = [
-        checks.loads_and_equals, checks.policy_features, checks.data_loader, checks.trains, checks.visualises,
-        checks.deletes, checks.splits, checks.merges, checks.resumes, checks.leaves_it_alone,
+        checks.loads_and_equals, checks.policy_features, checks.data_loader, checks.chunks, checks.trains,
+        checks.visualises, checks.deletes, checks.splits, checks.merges, checks.resumes, checks.leaves_it_alone,
     ]  # fmt: skip
     failed = 0
     for test in tests:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
@@ -15,19 +15,29 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from baggie.data import lerobot
-from baggie.data.files import check_complete, read_json, read_parquet
-from baggie.data.index import read_numbers
+from baggie.data.files import broken, check_complete, read_json, read_parquet
+from baggie.data.index import first_gap, read_numbers
 from baggie.data.layout import Layout
-from baggie.data.png import decode_color, is_whole
-from baggie.data.record import NUMBERS, to_attempt
+from baggie.data.png import decode_color, decode_height, is_whole
+from baggie.data.record import NUMBERS, SCHEMA, complete, to_attempt, to_grid
 from baggie.data.settings import DatasetSettings
 from baggie.errors import DataError
-from baggie.types import Attempt, Image
+from baggie.grid import Grid
+from baggie.types import Attempt, Image, Observation
 
 _LISTED = tuple(
     name for name in NUMBERS if name not in {"histogram", "before_intrinsics", "after_intrinsics"}
 )
-_NOT_NUMBERS = {"task", "failure", "timings_s", "before_offset", "before_length"}
+_NOT_NUMBERS = {
+    "task",
+    "failure",
+    "timings_s",
+    "before_offset",
+    "before_length",
+    "before_grid",
+    "after_grid",
+    "episode",
+}
 
 
 def open_dataset(root: Path | str) -> Dataset:
@@ -39,12 +49,13 @@ def open_dataset(root: Path | str) -> Dataset:
     layout = Layout(Path(root))
     settings = DatasetSettings.read(layout)
     # `info.json` is written last: what it counts is complete, even while someone is recording.
-    episodes = read_json(layout.info)["total_episodes"] if layout.info.exists() else 0
+    info = read_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    episodes, frames = info["total_episodes"], info["total_frames"]
     check_complete(layout.data(episode) for episode in range(episodes))
-    numbers = read_numbers(layout, _LISTED)[:episodes]
-    if numbers["episode_index"].to_pylist() != list(range(episodes)):
+    numbers = read_numbers(layout, _LISTED)[:frames]
+    if len(numbers) < frames or first_gap(numbers, episodes) is not None:
         raise DataError(
-            f"{layout.root} counts {episodes} episodes, but its `attempts/` does not hold a record of each: "
+            f"{layout.root} counts {frames} attempts, but its `attempts/` does not hold a record of each: "
             "another tool changed it; put the recording back from a copy"
         )
     return Dataset(layout, settings, numbers.sort_by("attempt_id"))
@@ -78,6 +89,25 @@ class Dataset(Sequence[Attempt]):
         return _numeric(self._numbers["attempt_id"])
 
     @cached_property
+    def episodes(self) -> NDArray[np.int64]:
+        """`(N,)`: the episode each attempt belongs to, -1 where it stands alone."""
+        return _numeric(self._numbers["episode"].combine_chunks().fill_null(-1))
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """The grid of the pictures before, where they are orthographic; None where a camera took them.
+
+        Raises DataError when they are not all of one grid.
+        """
+        grids = {to_grid(values) for values in self._numbers["before_grid"].to_pylist()}
+        if len(grids) > 1:
+            raise DataError(
+                f"expected the pictures in {self.root} to have one grid, got {len(grids)} different ones; "
+                "take attempts apart that were recorded over different ones"
+            )
+        return grids.pop() if grids else None
+
+    @cached_property
     def failures(self) -> list[str | None]:
         """Why each attempt failed; None where it succeeded."""
         return list(self._numbers["failure"].to_pylist())
@@ -94,8 +124,21 @@ class Dataset(Sequence[Attempt]):
             return self._view(range(len(self))[index])
         row = range(len(self))[index]
         path = self._layout.attempt(int(self.attempt_ids[row]))
-        record = read_parquet(path).to_pylist()[0]
+        record = complete(read_parquet(path), SCHEMA.names, path).to_pylist()[0]
         return to_attempt(record, self._before_png(row), path)
+
+    def after(self, index: int) -> Observation | None:
+        """What was seen after an attempt: its own picture, or the one before the next attempt of its episode.
+
+        None where neither is in this dataset.
+        """
+        row = range(len(self))[index]
+        own = self[row].after
+        if own is not None or self.episodes[row] < 0:
+            return own
+        step = int(self._steps[row]) + 1
+        following = np.flatnonzero((self.episodes == self.episodes[row]) & (self._steps == step))
+        return self[int(following[0])].before if len(following) else None
 
     def successful(self) -> Dataset:
         """The attempts that succeeded, as a view."""
@@ -120,25 +163,46 @@ class Dataset(Sequence[Attempt]):
             source = self._layout.data(self._episodes[row])
             decode_color(self._before_png(row), source, out=pictures[place])
 
-        if threads == 1:
-            for place in range(len(rows)):
-                decode(place)
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(decode, range(len(rows))))
+        _in_threads(decode, len(rows), threads)
         return pictures
+
+    def heights(self, indices: Iterable[int] | None = None, threads: int = 2) -> NDArray[np.float32]:
+        """The heights that go with `colors(indices)`: `(N, H, W)` metres above the grid's lower bound of z.
+
+        Raises DataError when an attempt has none, or its picture is damaged.
+        """
+        rows = list(range(len(self)) if indices is None else indices)
+        width, height = self.settings.picture_size
+        maps = np.empty((len(rows), height, width), np.float32)
+
+        def decode(place: int) -> None:
+            attempt_id = int(self.attempt_ids[rows[place]])
+            path = self._layout.attempt(attempt_id)
+            name = "before_height"
+            png = complete(read_parquet(path, [name]), [name], path)[name][0].as_buffer()
+            if png is None:
+                raise DataError(
+                    f"expected heights in every attempt, got none in attempt {attempt_id} of {self.root}; "
+                    "take a recording of orthographic pictures"
+                )
+            maps[place] = decode_height(memoryview(png), path)
+
+        _in_threads(decode, len(rows), threads)
+        return maps
 
     def numbers(self) -> dict[str, NDArray[Any]]:
         """All numbers of all attempts by name, `(N, ...)`, without touching a picture.
 
         Poses (`commanded`, `executed`: `(N, 6)`; `truth_before`, `truth_after`: `(N, 3)`) are metres and
         radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for
-        what is not known. `success` is bool; `timings_s.<phase>` holds seconds by phase.
+        what is not known. `success` is bool; `timings_s.<phase>` holds seconds by phase. `episode` is -1 where an
+        attempt stands alone; `reward` NaN where nobody counts.
         """
         table = self._numbers
         result = {name: _numeric(table[name]) for name in _LISTED if name not in _NOT_NUMBERS}
         for box in ("box_before", "box_after"):
             result[box] = result[box].reshape(-1, 4, 2)
+        result["episode"] = self.episodes
         result["success"] = np.array([failure is None for failure in self.failures], bool)
         timings = [dict(pairs) for pairs in table["timings_s"].to_pylist()]
         for phase in sorted({phase for times in timings for phase in times}):
@@ -147,7 +211,12 @@ class Dataset(Sequence[Attempt]):
 
     @cached_property
     def _episodes(self) -> list[int]:
+        """LeRobot's number of each attempt's episode."""
         return list(self._numbers["episode_index"].to_pylist())
+
+    @cached_property
+    def _steps(self) -> NDArray[np.int64]:
+        return _numeric(self._numbers["step"])
 
     @cached_property
     def _places(self) -> list[tuple[int, int]]:
@@ -166,13 +235,26 @@ class Dataset(Sequence[Attempt]):
             png = os.pread(file.fileno(), length, offset)
             if is_whole(png):
                 return png
-        table = read_parquet(path, [f"{lerobot.IMAGE}.bytes"])
-        return memoryview(table.column(0).chunk(0).field(0)[0].as_buffer())
+        column = read_parquet(path, [f"{lerobot.IMAGE}.bytes"]).column(0)
+        step = int(self._steps[row])
+        if step >= len(column):
+            raise broken(path, f"lacks frame {step}")
+        return memoryview(column[step]["bytes"].as_buffer())
 
 
-def _numeric(column: pa.ChunkedArray) -> NDArray[Any]:
+def _in_threads(work: Callable[[int], None], count: int, threads: int) -> None:
+    """Do `work(0)` to `work(count - 1)`."""
+    if threads == 1:
+        for place in range(count):
+            work(place)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, range(count)))
+
+
+def _numeric(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
     """A column of numbers or of fixed-length lists of them, as `(N,)` or `(N, length)`; NaN for nulls."""
-    array = column.combine_chunks()
+    array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if not pa.types.is_fixed_size_list(array.type):
         return np.asarray(array.to_numpy(zero_copy_only=False))
     values = np.full((len(array), array.type.list_size), np.nan)

@@ -19,9 +19,14 @@ _MAGIC = b"PAR1"
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
-    """A table as a parquet file in memory, uncompressed: nearly all of it is PNGs."""
+    """A table as a parquet file in memory, uncompressed: nearly all of it is PNGs.
+
+    Each row is a group of its own, so that with more rows the first ones stay where they are in the file.
+    """
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="none", use_dictionary=False, write_statistics=False)
+    pq.write_table(
+        table, sink, compression="none", use_dictionary=False, write_statistics=False, row_group_size=1
+    )
     return bytes(sink.getvalue())
 
 

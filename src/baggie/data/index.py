@@ -16,19 +16,41 @@ import pyarrow.parquet as pq
 
 from baggie.data.files import check_complete, read_parquet, write_all
 from baggie.data.layout import Layout, attempt_id_of
-from baggie.data.record import NUMBERS, SCHEMA
+from baggie.data.record import NUMBERS, SCHEMA, complete
 from baggie.errors import DataError
 
 
 def read_numbers(layout: Layout, columns: Sequence[str] = NUMBERS) -> pa.Table:
-    """Columns of all records, a row each, by episode. Raises DataError naming a damaged record."""
+    """Columns of all records, a row each, in LeRobot's order: by episode, then by step.
+
+    Raises DataError naming a damaged record.
+    """
     records = {attempt_id_of(path): path for path in layout.attempts()}
     check_complete(records.values())
     indexed = _read_index(layout, columns)
     indexed = indexed.filter(pc.is_in(indexed["attempt_id"], pa.array(records, pa.int64())))
     known = set(indexed["attempt_id"].to_pylist())
-    fresh = [read_parquet(path, columns) for attempt_id, path in records.items() if attempt_id not in known]
-    return pa.concat_tables([indexed, *fresh]).sort_by("episode_index")
+    fresh = [
+        complete(read_parquet(path, columns), columns, path)
+        for attempt_id, path in records.items()
+        if attempt_id not in known
+    ]
+    return pa.concat_tables([indexed, *fresh]).sort_by(
+        [("episode_index", "ascending"), ("step", "ascending")]
+    )
+
+
+def first_gap(numbers: pa.Table, episodes: int) -> int | None:
+    """The first episode of which these rows, in LeRobot's order, lack one; None where `episodes` are whole.
+
+    An episode's last rows are not missed: what counts them is `info.json`.
+    """
+    episode, step = -1, -1
+    for row in zip(numbers["episode_index"].to_pylist(), numbers["step"].to_pylist(), strict=True):
+        if row not in ((episode, step + 1), (episode + 1, 0)):
+            return min(int(row[0]), episode + 1)
+        episode, step = row
+    return None if episode == episodes - 1 else episode + 1
 
 
 def write_index(layout: Layout) -> None:
@@ -43,5 +65,5 @@ def _read_index(layout: Layout, columns: Sequence[str]) -> pa.Table:
     schema = pa.schema([SCHEMA.field(name) for name in columns])
     if layout.index.exists():
         with contextlib.suppress(DataError, pa.ArrowException, ValueError):
-            return read_parquet(layout.index, columns).cast(schema)
+            return complete(read_parquet(layout.index, columns), columns, layout.index).cast(schema)
     return schema.empty_table()

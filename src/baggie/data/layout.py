@@ -2,13 +2,13 @@
 
     meta/info.json, meta/stats.json, meta/tasks.parquet
     meta/episodes/chunk-000/file-012.parquet      episode 12, as LeRobot describes it
-    data/chunk-000/file-012.parquet               episode 12: its one frame, as LeRobot reads it
+    data/chunk-000/file-012.parquet               episode 12: its frames, as LeRobot reads them
     attempts/collection.json                      the settings this was collected with
     attempts/chunk-000/attempt-000123.parquet     attempt 123, exact and complete but for the picture before
     attempts/index.parquet                        the numbers of all attempts, gathered
     .baggie/                                      the writer's lock, and files not finished yet
 
-Episodes count in order of arrival; attempts carry the number they were given.
+Episodes, here LeRobot's, count in order of arrival; attempts carry the number they were given.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Layout:
         return self.root / ".baggie/partial"
 
     def data(self, episode: int) -> Path:
-        """The frame of an episode, counted from 0."""
+        """The frames of an episode, counted from 0."""
         return self.root / DATA_TEMPLATE.format(**chunk_and_file(episode))
 
     def episode(self, episode: int) -> Path:

@@ -1,4 +1,6 @@
-"""What LeRobot sees of an attempt: an episode of one frame, in its v3.0 layout, without importing lerobot.
+"""What LeRobot sees of attempts: frames of episodes, in its v3.0 layout, without importing lerobot.
+
+An attempt is a frame, and an episode of one frame unless it belongs to an episode with others.
 
 LeRobot makes every image-typed column and every `observation*` a policy's input and every `action*` its
 output, so only what a policy may see and must produce goes by those names; all else here is `next.*` or
@@ -8,7 +10,7 @@ numeric `annotation.*`.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -17,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from baggie.data.layout import CHUNK_FILES, DATA_TEMPLATE, chunk_and_file
 from baggie.data.record import Record
-from baggie.data.statistics import FeatureStats, pixel_stats, value_stats
+from baggie.data.statistics import pixel_stats, value_stats
 from baggie.types import Failure
 
 IMAGE = "observation.images.top"
 FPS = 1
-"""LeRobot wants a frame rate; with one frame an episode it means nothing."""
+"""LeRobot wants a frame rate; with one frame an attempt it means nothing."""
 FAILURES: tuple[str, ...] = get_args(Failure)
 """`annotation.failure` counts from 1 through these; 0 is success."""
 UNKNOWN = -1.0
@@ -76,14 +78,17 @@ def features(picture_size: tuple[int, int]) -> dict[str, dict[str, Any]]:
     return {IMAGE: image, **NUMERIC_FEATURES}
 
 
-def frame_of(record: Record) -> Frame:
-    """The one frame of an attempt, without its picture."""
+def frame_of(record: Record, index: int, done: bool) -> Frame:
+    """The frame of an attempt, without its picture.
+
+    `index` counts the frames of all episodes; `done` says whether nothing of the task is left to do.
+    """
     failure = record["failure"]
     values = {
         "observation.state": record["box_after"],
         "action": record["executed"],
         "next.success": failure is None,
-        "next.done": True,
+        "next.done": done,
         "annotation.attempt_id": record["attempt_id"],
         "annotation.cell": record["cell"],
         "annotation.seed": record["seed"],
@@ -96,10 +101,10 @@ def frame_of(record: Record) -> Frame:
         "annotation.release_width_m": record["release_width_m"],
         "annotation.pick_z_m": record["pick_z_m"],
         "annotation.place_z_m": record["place_z_m"],
-        "timestamp": 0.0,
-        "frame_index": 0,
+        "timestamp": record["step"] / FPS,
+        "frame_index": record["step"],
         "episode_index": record["episode_index"],
-        "index": record["episode_index"],
+        "index": index,
         "task_index": 0,
     }
     return {name: _fitting(value, DTYPES[name]) for name, value in values.items()}
@@ -116,8 +121,9 @@ def _fitting(value: ArrayLike, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def frame_table(frame: Frame, png: bytes) -> pa.Table:
-    """The data file of an episode: one row with its picture (RGB PNG) and its numbers."""
-    columns = {IMAGE: pa.array([{"bytes": png, "path": "frame-000000.png"}], _IMAGE_TYPE)}
+    """A row of an episode's data file: a frame's picture (RGB PNG) and its numbers."""
+    path = f"frame-{int(np.asarray(frame['frame_index'])):06d}.png"
+    columns = {IMAGE: pa.array([{"bytes": png, "path": path}], _IMAGE_TYPE)}
     for name, value in frame.items():
         scalar = pa.from_numpy_dtype(DTYPES[name])
         # A feature of shape [1] must be a column of plain scalars.
@@ -126,23 +132,23 @@ def frame_table(frame: Frame, png: bytes) -> pa.Table:
     return pa.table(columns)
 
 
-def frame_stats(frame: Frame, histogram: ArrayLike) -> dict[str, FeatureStats]:
-    """The statistics of an episode by feature."""
-    stats = {name: value_stats(value) for name, value in frame.items()}
-    return {IMAGE: pixel_stats(histogram, 1), **stats}
+def episode_table(frames: Sequence[Frame], histogram: ArrayLike, task: str) -> pa.Table:
+    """The description of an episode: one row with all that LeRobot's delete, merge and resume look for.
 
-
-def episode_table(episode: int, task: str, stats: Mapping[str, FeatureStats]) -> pa.Table:
-    """The description of an episode: one row with all that LeRobot's delete, merge and resume look for."""
+    `histogram` `(3, 256)` counts the pixels of all its pictures.
+    """
+    episode, start = (int(np.asarray(frames[0][name])) for name in ("episode_index", "index"))
+    stats = {IMAGE: pixel_stats(histogram, len(frames))}
+    stats |= {name: value_stats([frame[name] for frame in frames]) for name in frames[0]}
     place = chunk_and_file(episode)
     row: dict[str, Any] = {
         "episode_index": episode,
         "tasks": [task],
-        "length": 1,
+        "length": len(frames),
         "data/chunk_index": place["chunk_index"],
         "data/file_index": place["file_index"],
-        "dataset_from_index": episode,
-        "dataset_to_index": episode + 1,
+        "dataset_from_index": start,
+        "dataset_to_index": start + len(frames),
     }
     row |= {f"stats/{name}/{key}": value for name, entry in stats.items() for key, value in entry.items()}
     row |= {f"meta/episodes/{key}": value for key, value in place.items()}
@@ -175,13 +181,13 @@ def tasks_table(task: str) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
-def info(episodes: int, picture_size: tuple[int, int], robot_type: str) -> dict[str, Any]:
-    """The content of `info.json` for a dataset of so many episodes."""
+def info(episodes: int, frames: int, picture_size: tuple[int, int], robot_type: str) -> dict[str, Any]:
+    """The content of `info.json` for a dataset of so many episodes, and frames in all of them."""
     return {
         "codebase_version": "v3.0",
         "robot_type": robot_type,
         "total_episodes": episodes,
-        "total_frames": episodes,
+        "total_frames": frames,
         "total_tasks": 1 if episodes else 0,
         "chunks_size": CHUNK_FILES,
         "data_files_size_in_mb": 100,

@@ -6,7 +6,7 @@ The picture before lies in the LeRobot part of the dataset, once.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,19 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from baggie.data.png import decode_color, decode_depth, encode_color, encode_depth
+from baggie.data.files import broken
+from baggie.data.png import (
+    MAX_HEIGHT_M,
+    decode_color,
+    decode_depth,
+    decode_height,
+    encode_color,
+    encode_depth,
+    encode_height,
+)
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.grid import Grid
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
 
 Record = dict[str, Any]
@@ -30,6 +40,8 @@ _INTRINSICS = pa.struct(
         ("distortion", pa.list_(pa.float64())),
     ]
 )
+_GRID = pa.list_(pa.float64(), 7)
+"""x, y and z, lower and upper bound each, and the size of a pixel; metres."""
 _NUMBERS = pa.schema(
     [
         ("attempt_id", pa.int64()),
@@ -58,19 +70,57 @@ _NUMBERS = pa.schema(
         ("before_offset", pa.int64()),
         ("before_length", pa.int64()),
         ("histogram", pa.list_(pa.int32(), 3 * 256)),
+        ("episode", pa.int64()),
+        ("step", pa.int64()),
+        ("reward", pa.float64()),
+        ("before_grid", _GRID),
+        ("after_grid", _GRID),
     ]
 )
 _PICTURES = pa.schema(
-    [("before_depth", pa.binary()), ("after_color", pa.binary()), ("after_depth", pa.binary())]
+    [
+        ("before_depth", pa.binary()),
+        ("after_color", pa.binary()),
+        ("after_depth", pa.binary()),
+        ("before_height", pa.binary()),
+        ("after_height", pa.binary()),
+    ]
 )
+_LATER: Mapping[str, int | None] = {
+    "episode": None,
+    "step": 0,
+    "reward": None,
+    "before_grid": None,
+    "after_grid": None,
+    "before_height": None,
+    "after_height": None,
+}
+"""The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
 """The columns of `attempts/`; docs/data-format.md says what each is."""
 NUMBERS = tuple(_NUMBERS.names)
 """The columns that are no pictures."""
 
 
+def complete(table: pa.Table, columns: Sequence[str], source: Path) -> pa.Table:
+    """The `columns` of a table, in their order; those that an older recording lacks are filled in.
+
+    Raises DataError naming `source` when another column is missing.
+    """
+    missing = [name for name in columns if name not in table.column_names]
+    for name in missing:
+        if name not in _LATER:
+            raise broken(source, f"lacks the column {name}")
+        filler = pa.array([_LATER[name]] * table.num_rows, SCHEMA.field(name).type)
+        table = table.append_column(SCHEMA.field(name), filler)
+    return table.select(columns)
+
+
 def fit(attempt: Attempt, size: tuple[int, int]) -> Attempt:
-    """The same attempt with its pictures, intrinsics and box corners at `size` (width, height) pixels."""
+    """The same attempt with its pictures, intrinsics and box corners at `size` (width, height) pixels.
+
+    Raises `BaggieError` for an orthographic picture of another size.
+    """
     after = attempt.after
     return dataclasses.replace(
         attempt,
@@ -99,6 +149,9 @@ def to_record(attempt: Attempt, episode_index: int, histogram: NDArray[np.int32]
             f"got {attempt.box_before.shape} and {attempt.box_after.shape}"
         )
     before, after, outcome, truth = attempt.before, attempt.after, attempt.outcome, attempt.truth
+    for observation in (before, after):
+        if observation is not None:
+            _check_orthographic(attempt.attempt_id, observation)
     return {
         "attempt_id": attempt.attempt_id,
         "episode_index": episode_index,
@@ -126,10 +179,41 @@ def to_record(attempt: Attempt, episode_index: int, histogram: NDArray[np.int32]
         "before_offset": None,
         "before_length": None,
         "histogram": histogram.ravel(),
+        "episode": attempt.episode,
+        "step": attempt.step,
+        "reward": attempt.reward,
+        "before_grid": _grid_record(before.grid),
+        "after_grid": _grid_record(after.grid if after else None),
         "before_depth": encode_depth(before.depth) if before.depth is not None else None,
         "after_color": encode_color(after.color) if after else None,
         "after_depth": encode_depth(after.depth) if after and after.depth is not None else None,
+        "before_height": encode_height(before.height) if before.height is not None else None,
+        "after_height": encode_height(after.height) if after and after.height is not None else None,
     }
+
+
+def _check_orthographic(attempt_id: int, observation: Observation) -> None:
+    """Raise DataError where grid and heights do not fit the picture, or each other."""
+    (width, height), grid, heights = observation.size, observation.grid, observation.height
+    if grid is not None and grid.shape != (height, width):
+        raise DataError(
+            f"attempt {attempt_id}: expected a picture as large as its grid, {grid.shape[1]} x {grid.shape[0]} pixels, "
+            f"got {width} x {height}; take both from one fuse()"
+        )
+    if heights is None:
+        return
+    if grid is None or heights.shape != grid.shape:
+        raise DataError(
+            f"attempt {attempt_id}: expected heights {height} x {width} with the grid they are of, got "
+            f"{' x '.join(map(str, heights.shape))} {'without one' if grid is None else 'with one'}; "
+            "take both from one fuse()"
+        )
+    low, high = (round(float(end), 5) for end in (heights.min(), heights.max()))  # in steps of 10 micrometres
+    if not 0 <= low <= high <= MAX_HEIGHT_M:
+        raise DataError(
+            f"attempt {attempt_id}: expected heights from 0 to {MAX_HEIGHT_M} m, got {low:.5g} to {high:.5g}; "
+            "set the grid's bounds of z accordingly"
+        )
 
 
 def to_table(record: Record) -> pa.Table:
@@ -142,20 +226,8 @@ def to_table(record: Record) -> pa.Table:
 
 def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> Attempt:
     """The inverse of `to_record`; `before_png` is the picture before. Raises DataError naming `source`."""
-    before = Observation(
-        decode_color(before_png, source),
-        decode_depth(record["before_depth"], source) if record["before_depth"] else None,
-        _intrinsics(record["before_intrinsics"]),
-        record["before_time"],
-    )
-    after = None
-    if record["after_color"]:
-        after = Observation(
-            decode_color(record["after_color"], source),
-            decode_depth(record["after_depth"], source) if record["after_depth"] else None,
-            _intrinsics(record["after_intrinsics"]),
-            record["after_time"],
-        )
+    before = _observation("before", before_png, record, source)
+    after = _observation("after", record["after_color"], record, source) if record["after_color"] else None
     truth = None
     if record["truth_before"] is not None:
         truth = Truth(PlanarPose(*record["truth_before"]), PlanarPose(*record["truth_after"]))
@@ -181,7 +253,35 @@ def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> 
         seed=record["seed"],
         time=record["time"],
         truth=truth,
+        episode=record["episode"],
+        step=record["step"],
+        reward=record["reward"],
     )
+
+
+def _observation(which: str, color: bytes | memoryview, record: Record, source: Path) -> Observation:
+    """The picture `before` or `after`."""
+    depth, height = record[f"{which}_depth"], record[f"{which}_height"]
+    return Observation(
+        decode_color(color, source),
+        decode_depth(depth, source) if depth else None,
+        _intrinsics(record[f"{which}_intrinsics"]),
+        record[f"{which}_time"],
+        to_grid(record[f"{which}_grid"]),
+        decode_height(height, source) if height else None,
+    )
+
+
+def to_grid(values: Sequence[float] | None) -> Grid | None:
+    """The grid in a record's column."""
+    if values is None:
+        return None
+    x_low, x_high, y_low, y_high, z_low, z_high, pixel_m = values
+    return Grid((x_low, x_high), (y_low, y_high), (z_low, z_high), pixel_m)
+
+
+def _grid_record(grid: Grid | None) -> list[float] | None:
+    return None if grid is None else [*grid.x, *grid.y, *grid.z, grid.pixel_m]
 
 
 def _pose_record(pose: PlanarPose) -> list[float]:

@@ -59,12 +59,19 @@ def pixel_stats(counts: ArrayLike, pictures: int) -> FeatureStats:
     return {**shaped, "count": [pictures]}
 
 
-def value_stats(value: ArrayLike) -> FeatureStats:
-    """Statistics of a feature in an episode of one frame."""
-    row = np.atleast_1d(value)
-    number = row.astype(float).tolist()
-    spread = dict.fromkeys(["mean", *QUANTILES], number)
-    return {"min": row.tolist(), "max": row.tolist(), **spread, "std": [0.0] * len(number), "count": [1]}
+def value_stats(values: Sequence[ArrayLike]) -> FeatureStats:
+    """Statistics of a feature in an episode: a number or a vector `(length,)` for each of its frames."""
+    rows = np.stack([np.atleast_1d(value) for value in values])
+    numbers = rows.astype(float)
+    ranked = np.quantile(numbers, list(QUANTILES.values()), axis=0)
+    return {
+        "min": rows.min(axis=0).tolist(),
+        "max": rows.max(axis=0).tolist(),
+        "mean": numbers.mean(axis=0).tolist(),
+        **dict(zip(QUANTILES, ranked.tolist(), strict=True)),
+        "std": numbers.std(axis=0).tolist(),
+        "count": [len(rows)],
+    }
 
 
 class RunningStats:

@@ -10,15 +10,19 @@ from typing import Any
 import cv2
 import numpy as np
 
+from baggie.data.contents import DONE
 from baggie.data.dataset import Dataset, open_dataset
 from baggie.errors import DataError
-from baggie.geometry import FloatArray
-from baggie.types import Attempt, Image
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.grid import Grid
+from baggie.types import Attempt, Image, Observation
 
 _CELL_M = 0.05
 """Side of the squares that coverage counts."""
 _THUMBNAIL_WIDTH = 160
 _BORDER = 3
+_MARK_M = 0.04
+"""Side of the square that shows a pose where no object was found."""
 _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0, 200, 0)
 
 
@@ -27,7 +31,9 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
 
     `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how
     many of its 5 cm squares were visited. `duration_s` spans from the first attempt's beginning to the last
-    one's end as far as the recorded times tell. Raises DataError where there is no dataset.
+    one's end as far as the recorded times tell. `episodes` is there where attempts belong to some: how many, how
+    many of those were finished (earned everything), and what they earned on average. Raises DataError where there is
+    no dataset.
     """
     dataset = open_dataset(root)
     files = [path for path in dataset.root.rglob("*") if path.is_file()]
@@ -36,6 +42,7 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "attempts": len(dataset),
         "succeeded": len(dataset) - failures.total(),
         "failed": dict(failures.most_common()),
+        **_episodes(dataset),
         "task": dataset.settings.task,
         "robot_type": dataset.settings.robot_type,
         "picture_size": list(dataset.settings.picture_size),
@@ -45,6 +52,20 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "megabytes": round(sum(path.stat().st_size for path in files) / 1e6, 1),
         "collection": dict(dataset.collection),
     }
+
+
+def _episodes(dataset: Dataset) -> dict[str, Any]:
+    """Nothing where all attempts stand alone."""
+    inside = dataset.episodes >= 0
+    if not inside.any():
+        return {}
+    numbers, places = np.unique(dataset.episodes[inside], return_inverse=True)
+    counted: dict[str, Any] = {"count": len(numbers), "attempts": int(inside.sum())}
+    rewards = dataset.numbers()["reward"].astype(float)[inside]
+    if np.isfinite(rewards).any():
+        scores = np.bincount(places, np.nan_to_num(rewards))
+        counted |= {"finished": int((scores >= DONE).sum()), "mean_score": round(float(scores.mean()), 3)}
+    return {"episodes": counted}
 
 
 def _durations(dataset: Dataset) -> dict[str, Any]:
@@ -84,8 +105,9 @@ def _coverage(dataset: Dataset) -> dict[str, Any]:
 def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit: int = 300) -> Path:
     """Write one PNG of the attempts, `columns` a row: before and after, with the bag's box in each.
 
-    The box before (the pick) is blue, the box after (the place) green; failed attempts are framed red and say
-    why. Of more than `limit` attempts, as many are shown, evenly spread. Returns the path. Raises DataError.
+    The box before (the pick) is blue, the box after (the place) green; in orthographic pictures without boxes, 4 cm
+    squares stand for them where it was picked and placed. Failed attempts are framed red and say why. Of more than
+    `limit` attempts, as many are shown, evenly spread. Returns the path. Raises DataError.
     """
     dataset = open_dataset(root)
     if not len(dataset):
@@ -93,7 +115,7 @@ def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit
     if columns < 1 or limit < 1:
         raise DataError(f"a contact sheet needs 1 column and 1 attempt or more, got {columns} and {limit}")
     chosen = np.unique(np.linspace(0, len(dataset) - 1, min(limit, len(dataset))).round().astype(int))
-    tiles = [_tile(dataset[int(index)]) for index in chosen]
+    tiles = [_tile(dataset[int(index)], dataset.after(int(index))) for index in chosen]
     height, width = tiles[0].shape[:2]
     rows = math.ceil(len(tiles) / columns)
     sheet = np.full((rows * height, min(columns, len(tiles)) * width, 3), 255, np.uint8)
@@ -109,12 +131,15 @@ def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit
     return path
 
 
-def _tile(attempt: Attempt) -> Image:
+def _tile(attempt: Attempt, seen_after: Observation | None) -> Image:
     """One attempt: the picture before beside the picture after, framed."""
-    before = _thumbnail(attempt.before.color, {_BLUE: attempt.box_before})
+    executed, observation = attempt.outcome.executed, attempt.before
+    box = _box(attempt.box_before, observation.grid, executed.pick)
+    before = _thumbnail(observation.color, {_BLUE: box})
     after = np.full_like(before, 128)
-    if attempt.after is not None:
-        after = _thumbnail(attempt.after.color, {_GREEN: attempt.box_after})
+    if seen_after is not None:
+        box = _box(attempt.box_after, seen_after.grid, executed.place)
+        after = _thumbnail(seen_after.color, {_GREEN: box})
     pair = np.hstack([before, after])
     label = f"{attempt.attempt_id}" + (f" {attempt.outcome.failure}" if attempt.outcome.failure else "")
     for color, thickness in (((0, 0, 0), 3), (_WHITE, 1)):
@@ -124,6 +149,14 @@ def _tile(attempt: Attempt) -> Image:
     tile = np.full((height + 2 * _BORDER, width + 2 * _BORDER, 3), frame, np.uint8)
     tile[_BORDER:-_BORDER, _BORDER:-_BORDER] = pair
     return tile
+
+
+def _box(found: FloatArray, grid: Grid | None, pose: PlanarPose) -> FloatArray:
+    """The corners found, `(4, 2)` pixels; where there are none, in an orthographic picture, a square at the pose."""
+    if grid is None or np.isfinite(found).all():
+        return found
+    corners = _MARK_M / 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return grid.to_pixels(corners @ pose.matrix()[:2, :2].T + pose.xy)
 
 
 def _thumbnail(picture: Image, boxes: dict[tuple[int, int, int], FloatArray]) -> Image:

@@ -8,13 +8,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import pyarrow as pa
+
 from baggie.data import lerobot
-from baggie.data.files import Lock, json_bytes, parquet_bytes, write_all
+from baggie.data.contents import Contents
+from baggie.data.files import Lock, json_bytes, parquet_bytes, read_parquet, write_all
 from baggie.data.index import write_index
 from baggie.data.layout import Layout
 from baggie.data.png import encode_color
 from baggie.data.record import fit, to_record, to_table
-from baggie.data.repair import Contents, repair
+from baggie.data.repair import repair
 from baggie.data.settings import DatasetSettings
 from baggie.data.statistics import histogram
 from baggie.errors import DataError
@@ -32,7 +35,8 @@ class DatasetWriter:
     kill, a power cut or a full disk leaves either all of the attempt or nothing, once the dataset is next
     opened for writing.
 
-    Attempts may come in any order; each gets the next episode number. A context manager: leaving it unlocks.
+    Attempts may come in any order, those of an episode one after the other, in order of their steps. A context
+    manager: leaving it unlocks.
     """
 
     def __init__(
@@ -91,13 +95,21 @@ class DatasetWriter:
         """The ids of the attempts recorded so far."""
         return set(self._known().attempt_ids)
 
+    @property
+    def episodes(self) -> dict[int, int]:
+        """How many attempts of each episode are recorded so far, in the order the episodes were begun.
+
+        The last of them may go on where no attempt of another was recorded since.
+        """
+        return dict(self._known().episodes)
+
     def append(self, attempt: Attempt) -> None:
         """Record an attempt; on return it is safe on the disk.
 
         Pictures, intrinsics and box corners (given in the pixels of the pictures they come with) are stored
         at the recorded size. Raises DataError when an attempt of this id is there already, when it is of
-        another task, when a number does not fit, or when the disk is full; nothing recorded before is harmed
-        by any of these.
+        another task or out of order in its episode, when a number does not fit, or when the disk is full, and
+        BaggieError for an orthographic picture of another size; nothing recorded before is harmed by any of these.
         """
         if self._lock.released:
             raise DataError(f"{self._layout.root} is closed: open it again to record into it")
@@ -105,34 +117,40 @@ class DatasetWriter:
         self._check(attempt, contents.attempt_ids)
         size = self.settings.picture_size
         attempt = fit(attempt, size)
-        layout, episode = self._layout, len(contents.attempt_ids)
+        layout, episode = self._layout, contents.episode_for(attempt)
         counts = histogram(attempt.before.color)
         record = to_record(attempt, episode, counts)
         to_table(record)  # refuses what does not fit before anything is changed
-        frame = lerobot.frame_of(record)
-        png = encode_color(attempt.before.color)
-        data = parquet_bytes(lerobot.frame_table(frame, png))
-        record |= {"before_offset": data.index(png), "before_length": len(png)}
         self._contents = None  # until all is written: a failure half-way leaves memory and disk apart
-        contents.add(attempt.attempt_id, frame, counts)
-        stats = lerobot.frame_stats(frame, counts)
-        info = lerobot.info(episode + 1, size, self.settings.robot_type)
+        frame = contents.add(record, counts)
+        png = encode_color(attempt.before.color)
+        data = parquet_bytes(self._with_earlier(lerobot.frame_table(frame, png), episode, attempt.step))
+        record |= {"before_offset": data.rindex(png), "before_length": len(png)}
+        described = lerobot.episode_table(contents.frames, contents.histogram, attempt.task)
+        frames = len(contents.attempt_ids)
+        info = lerobot.info(episode + 1, frames, size, self.settings.robot_type)
         files = [
             (layout.attempt(attempt.attempt_id), parquet_bytes(to_table(record))),
-            (layout.episode(episode), parquet_bytes(lerobot.episode_table(episode, attempt.task, stats))),
+            (layout.episode(episode), parquet_bytes(described)),
             (layout.data(episode), data),
             (layout.stats, json_bytes(contents.stats())),
             (layout.info, json_bytes(info, indent=4)),
         ]
-        if episode == 0:
+        if frames == 1:
             files.insert(0, (layout.tasks, parquet_bytes(lerobot.tasks_table(attempt.task))))
         try:
             write_all(files, layout.partial)
         except OSError as error:
             raise self._not_writable(error) from None
         self._contents = contents
-        if len(contents.attempt_ids) % _INDEX_EVERY == 0:
+        if frames % _INDEX_EVERY == 0:
             write_index(layout)
+
+    def _with_earlier(self, frame: pa.Table, episode: int, step: int) -> pa.Table:
+        """The frames of an episode up to this one, the `step`-th."""
+        if step == 0:
+            return frame
+        return pa.concat_tables([read_parquet(self._layout.data(episode)), frame])
 
     def _check(self, attempt: Attempt, recorded: set[int]) -> None:
         if attempt.attempt_id in recorded:
