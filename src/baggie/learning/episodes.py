@@ -16,8 +16,8 @@ _DONE = 1 - 1e-6
 def split_episodes(attempts: Sequence[Attempt], train: int, val: int) -> Split:
     """By `RULE`; `train` and `val` count episodes, and none is in both. An attempt of no episode is one by itself.
 
-    Where rewards were recorded, an episode did its task when they add up to 1. Raises `DataError` when there are too few,
-    or they are from different cells or cameras.
+    Where rewards were recorded, an episode did its task when they add up to 1. Raises `DataError` when there are too
+    few, or they are from different cells or cameras.
     """
     if train < 1 or val < 0:
         raise DataError(f"train must be at least 1 and val at least 0, got {train} and {val}")
