@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.policies import planar_map
+from baggie.policies.edge_phases import CHANNELS, edge_phases
 from baggie.policies.features import Backbone, Features, ResNetFeatures, SmallFeatures, block
 from baggie.policies.keypoint_plan import CELL
 from baggie.policies.planar_map import PlanarMap
@@ -60,7 +61,7 @@ class KeypointNet(nn.Module):
 
     Works at half the input's resolution from its first layer: that costs a quarter, and the soft-argmax reads
     positions to a small fraction of a cell anyway. The phases of the yaw are read from coarser features, which see the
-    whole object at once, where the heat map is.
+    whole object at once, and from the directions of the edges around, where the heat map is.
     """
 
     features: SmallFeatures | ResNetFeatures
@@ -79,7 +80,7 @@ class KeypointNet(nn.Module):
         self.narrow = nn.Conv2d(double, width, 1, bias=False)
         self.up0 = block(width, width)
         self.heat = nn.Conv2d(width, 2, 1)
-        self.phase = nn.Sequential(block(double, double), nn.Conv2d(double, 4, 1))
+        self.phase = nn.Sequential(block(double + CHANNELS, double), nn.Conv2d(double, 4, 1))
         self.to_robot = PlanarMap()
         self.radius = Radius()
         for parameter in self.parameters():
@@ -100,7 +101,7 @@ class KeypointNet(nn.Module):
         fine, middle, coarse = (bring(x) for bring, x in zip(self.bring, found, strict=True))
         middle = self.up1(middle + _twice(coarse))
         fine = self.up0(fine + _twice(self.narrow(middle)))
-        return self.heat(fine), self.phase(middle)
+        return self.heat(fine), self.phase(torch.cat([middle, edge_phases(images)], dim=1))
 
     def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
         """Points and poses from what `fields` gives."""
