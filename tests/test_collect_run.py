@@ -14,7 +14,8 @@ import pytest
 
 import baggie.data.writer
 from baggie import seeds
-from baggie.collect.collect import COVERAGE_FILE, CollectOptions, _open_worker, collect, missing_sittings
+from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
+from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
@@ -110,7 +111,7 @@ def test_without_a_reference_nothing_is_watched():
 CHILD = """
 import sys
 from pathlib import Path
-from baggie.collect.collect import CollectOptions, collect
+from baggie.collect import CollectOptions, collect
 from fake_workcell import open_slowly
 if __name__ == "__main__":
     collect(CollectOptions(out=Path(sys.argv[1]), attempts=14, seed=3, workers=2), open_slowly)

@@ -1,16 +1,14 @@
-"""Collect demonstrations unattended: calibrate once, then sittings of ten attempts on every core."""
+"""Collect attempts unattended: calibrate once, then sittings of ten attempts on every core."""
 
 from __future__ import annotations
 
 import functools
 import os
-import shlex
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import cv2
 from rich.console import Console
@@ -19,6 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import CollectorCell
+from baggie.collect.demonstrations import record_demonstrations
+from baggie.collect.options import INSTRUCTIONS, CollectedScenery, CollectOptions
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
@@ -29,71 +29,12 @@ from baggie.types import Attempt
 from baggie.vision.picture_files import read_picture
 from baggie.workcell.watch import REFERENCE_FILE, Watch
 
-INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
-"""The tasks that can be collected, and each in words."""
 PICTURE_SIZE = (640, 360)
 """`(width, height)` of the recorded pictures."""
 COVERAGE_FILE = "coverage.png"
 
-CollectedScenery = Literal["plain", "varied"]
-"""What a recording may show: what others show is kept for evaluation."""
-
 OpenCell = Callable[[int], CollectorCell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
-
-
-@dataclass(frozen=True)
-class CollectOptions:
-    """What to collect, and where to."""
-
-    out: Path
-    """Folder of the recording. The same command again goes on where it stopped."""
-    task: str = "bag-place"
-    """What is on the table and what counts as done."""
-    attempts: int = 300
-    """How many attempts there are to be in the end, failed ones included."""
-    seed: int = 0
-    """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
-    cell: int = 0
-    """Number of the simulated workcell."""
-    scenery: CollectedScenery = "plain"
-    """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
-    workcell: Path | None = None
-    """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
-    workers: int | None = None
-    """Processes, each with a workcell of its own; as many as there are cores unless given."""
-
-    def check(self) -> None:
-        """Raise `BaggieError` for what cannot be collected."""
-        if self.task not in INSTRUCTIONS:
-            raise BaggieError(f"expected a task among {', '.join(INSTRUCTIONS)}, got {self.task!r}")
-        for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
-            if getattr(self, name) < least:
-                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
-        known = get_args(CollectedScenery)
-        if self.scenery not in known:
-            raise BaggieError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
-        if self.scenery != "plain" and self.workcell is not None:
-            raise BaggieError(
-                f"expected the scenery plain with --workcell, which says what the bag is, got {self.scenery!r}; "
-                "leave one of them out"
-            )
-        if self.workers is not None and self.workers < 1:
-            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
-
-    @property
-    def watched(self) -> bool:
-        """Whether bumps are watched for: another table, or another lamp, is none."""
-        return self.scenery == "plain"
-
-    def command(self) -> str:
-        """The command line that goes on with this collection."""
-        words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
-        words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
-        words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
-        words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
-        words += [] if self.workers is None else ["--workers", str(self.workers)]
-        return shlex.join(words)
 
 
 def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> CollectorCell:
@@ -126,6 +67,8 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     on from there. Raises `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
+    if options.demonstrated:
+        return record_demonstrations(options)
     if options.workcell is not None:
         open_cell = functools.partial(open_file_cell, options.workcell)
     elif open_cell is open_simulated_cell:

@@ -67,8 +67,10 @@ class TrainOptions:
     """keypoint: the share of pictures with cloth, shape, table and clutter drawn anew, to know bags of any kind."""
     preset: Preset = "fast"
     """transporter: `fast` is ours; `paper` has the published sizes and takes 200 times as long a map."""
-    symmetry: int = 1
-    """transporter: how often a turn all that is picked looks the same, 4 for square blocks; 0 at any angle."""
+    symmetry: int | None = None
+    """transporter: how often a turn all that is picked looks the same, 4 for square blocks, 0 at any angle; as the
+    recording says unless given, and 1 where it says nothing.
+    """
     pick_yaw: bool = False
     """transporter: whether a gripper has to be turned to pick; a suction cup has not."""
     save_every_s: float = 30.0

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from accelerate import Accelerator
 from rich.console import Console
 
-from baggie.data import open_dataset
+from baggie.data import Dataset, open_dataset
 from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError
@@ -57,6 +58,8 @@ def train(
     of_episodes = options.policy == TransporterPolicy.name
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
+    if isinstance(recorded, Dataset) and options.symmetry is None:
+        options = replace(options, symmetry=recorded.collection.get("object_symmetry"))
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = options.steps or recipe.steps
     recipe.policy.training = _record(options, split, steps)
@@ -106,7 +109,7 @@ def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
         return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
     if options.policy == TransporterPolicy.name:
         painted = GoalInput("painted", options.goal_style, options.goal_color)
-        shown = read_demonstrations(attempts, options.symmetry, painted)
+        shown = read_demonstrations(attempts, 1 if options.symmetry is None else options.symmetry, painted)
         return TransporterRecipe(shown, TransporterOptions(options.preset, pick_yaw=options.pick_yaw))
     goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
     return KeypointRecipe(

@@ -1,0 +1,85 @@
+"""What can be said about a collection."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from baggie.errors import BaggieError
+from baggie.sim.tasks import TASKS
+
+INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
+"""The tasks the robot shows itself, and each in words."""
+
+CollectedScenery = Literal["plain", "varied"]
+"""What a recording may show: what others show is kept for evaluation."""
+
+
+@dataclass(frozen=True)
+class CollectOptions:
+    """What to collect, and where to."""
+
+    out: Path
+    """Folder of the recording. The same command again goes on where it stopped."""
+    task: str = "bag-place"
+    """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
+    which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner.
+    """
+    attempts: int = 300
+    """How many there are to be in the end, failed ones included; with blocks, whole demonstrations."""
+    seed: int = 0
+    """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
+    cell: int = 0
+    """Number of the simulated workcell."""
+    scenery: CollectedScenery = "plain"
+    """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
+    workcell: Path | None = None
+    """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
+    workers: int | None = None
+    """Processes, each with a workcell of its own; as many as there are cores unless given."""
+
+    def check(self) -> None:
+        """Raise `BaggieError` for what cannot be collected."""
+        if self.task not in INSTRUCTIONS and self.task not in TASKS:
+            raise BaggieError(
+                f"expected a task among {', '.join([*INSTRUCTIONS, *TASKS])}, got {self.task!r}"
+            )
+        for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
+            if getattr(self, name) < least:
+                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
+        known = get_args(CollectedScenery)
+        if self.scenery not in known:
+            raise BaggieError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
+        if self.scenery != "plain" and self.workcell is not None:
+            raise BaggieError(
+                f"expected the scenery plain with --workcell, which says what the bag is, got {self.scenery!r}; "
+                "leave one of them out"
+            )
+        if self.demonstrated and (self.scenery != "plain" or self.workcell is not None):
+            raise BaggieError(
+                f"expected neither --scenery nor --workcell with --task {self.task}, which has a cell of its own; "
+                "leave them out"
+            )
+        if self.workers is not None and self.workers < 1:
+            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
+
+    @property
+    def demonstrated(self) -> bool:
+        """Whether a script shows it, in several steps."""
+        return self.task in TASKS
+
+    @property
+    def watched(self) -> bool:
+        """Whether bumps are watched for: another table, or another lamp, is none."""
+        return self.scenery == "plain"
+
+    def command(self) -> str:
+        """The command line that goes on with this collection."""
+        words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
+        words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
+        words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
+        words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
+        words += [] if self.workers is None else ["--workers", str(self.workers)]
+        return shlex.join(words)
