@@ -67,7 +67,7 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(recorded: Path, tmp_pa
         collection=settings.collection,
     ) as writer:
         writer.append(shown[0])
-    collect(options(out, workers=2))
+    collect(options(out, workers=1))
     again = open_dataset(out)
     assert again.attempt_ids.tolist() == whole.attempt_ids.tolist()
     np.testing.assert_array_equal(again.colors(), whole.colors())
@@ -76,7 +76,7 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(recorded: Path, tmp_pa
     for name in ("commanded", "executed", "reward", "episode", "step", "time"):
         np.testing.assert_array_equal(mine[name], theirs[name])
     before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
-    collect(options(out))  # all is there
+    collect(options(out, workers=1))  # all is there
     assert {path: path.read_bytes() for path in out.rglob("*.parquet")} == before
     shutil.rmtree(out)
 
