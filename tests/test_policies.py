@@ -216,3 +216,23 @@ def test_regression_has_no_yaw(attempt, regression):
     action = regression.plan(attempt.before, goal_of(attempt)).action
     assert (action.pick.yaw, action.place.yaw) == (0.0, 0.0)
     assert math.isfinite(action.pick.x)
+
+
+def test_by_each_pictures_own_statistics_a_network_does_what_it_did_when_it_learned_from_one(
+    tmp_path, regression
+):
+    torch.manual_seed(1)
+    learning = RegressionNet().train()
+    images = torch.randint(0, 256, (1, 3, 224, 224), dtype=torch.uint8)
+    own = RegressionNet("picture")
+    own.load_state_dict(learning.state_dict())
+    with torch.no_grad():
+        torch.testing.assert_close(own.eval()(images), learning(images), rtol=1e-3, atol=1e-5)
+        two = torch.cat([images, images.flip(-1)])
+        torch.testing.assert_close(own(two)[:1], own(images), rtol=1e-3, atol=1e-5)  # whatever lies beside it
+        assert not torch.allclose(learning.eval()(images), own(images), atol=1e-4)
+    policy = RegressionPolicy(own, SIZE, 0, "solid", (0, 200, 0))
+    policy.save_pretrained(tmp_path)
+    loaded = load_policy(tmp_path)
+    assert loaded.network.statistics == "picture"
+    assert "statistics" not in regression.model_config()  # as published

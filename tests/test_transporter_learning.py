@@ -198,7 +198,11 @@ def test_a_taught_policy_keeps_the_contract(taught):
     check_policy(load_policy(taught), ATTEMPTS[0].before, square, looks_at_goal=False)
 
 
-@pytest.mark.parametrize("changes", [{"preset": "paper"}, {"pick_yaw": True, "symmetry": 4}], ids=str)
+@pytest.mark.parametrize(
+    "changes",
+    [pytest.param({"preset": "paper"}, marks=pytest.mark.slow), {"pick_yaw": True, "symmetry": 4}],
+    ids=str,
+)
 def test_every_kind_trains_and_loads(tmp_path, changes):
     small = Grid(x=(0.25, 0.4), y=(0.0, 0.15), pixel_m=0.003125)
     attempts = [

@@ -32,7 +32,11 @@ CONFIGS = [
     TransporterConfig(symmetry=4, pick_yaw=True),
     TransporterConfig(symmetry=0),
     TransporterConfig("paper", rotations=3),
-    TransporterConfig("paper", rotations=6, symmetry=4, pick_yaw=True),
+    pytest.param(
+        TransporterConfig("paper", rotations=6, symmetry=4, pick_yaw=True),
+        marks=pytest.mark.slow,
+        id="paper-gripper",
+    ),
 ]
 angles = st.floats(-math.pi, math.pi)
 

@@ -9,12 +9,14 @@ from typing import Literal
 
 from baggie.errors import BaggieError
 from baggie.policies.features import Backbone
+from baggie.policies.resnet import Statistics
 from baggie.policies.transporter.config import Preset
 from baggie.types import DrawnStyle
 
 _OF = {
     ("goal_input", "backbone", "new_looks"): ("keypoint",),
     ("weights",): ("keypoint", "regression"),
+    ("statistics",): ("regression",),
     ("preset", "symmetry", "pick_yaw"): ("transporter",),
 }
 """The policies that options are for; all others are for every policy."""
@@ -63,6 +65,10 @@ class TrainOptions:
     """keypoint: what sees; `resnet18` is slower and can start from published weights."""
     weights: str | None = None
     """ImageNet weights of a ResNet-18 to start from, a .pth or .safetensors file or a Hub id; none by default."""
+    statistics: Statistics = "running"
+    """regression: what its batch normalisation goes by once trained. `running` averages, as published; or each
+    `picture`'s own, as it learned from batches of one.
+    """
     new_looks: float = 0.25
     """keypoint: the share of pictures with cloth, shape, table and clutter drawn anew, to know bags of any kind."""
     preset: Preset = "fast"

@@ -14,7 +14,7 @@ from baggie.data.annotation import goal_of
 from baggie.learning.recipe import Batch
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.regression import RegressionNet, RegressionPolicy
-from baggie.policies.resnet import load_imagenet
+from baggie.policies.resnet import Statistics, load_imagenet
 from baggie.types import Attempt, DrawnStyle
 
 
@@ -32,10 +32,11 @@ class RegressionRecipe:
         goal_style: DrawnStyle,
         goal_color: tuple[int, int, int],
         weights: str | None,
+        statistics: Statistics = "running",
     ) -> None:
         """`weights`: see `load_imagenet`; raises its errors."""
         # In this layout of memory convolutions of one picture take half the time on a CPU; the numbers are the same.
-        network = RegressionNet()
+        network = RegressionNet(statistics)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs forget it
         if weights is not None:
             imagenet = load_imagenet(weights)

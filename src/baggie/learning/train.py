@@ -106,7 +106,9 @@ def _accelerator(device: str) -> Accelerator:
 
 def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
     if options.policy == "regression":
-        return RegressionRecipe(attempts, options.goal_style, options.goal_color, options.weights)
+        return RegressionRecipe(
+            attempts, options.goal_style, options.goal_color, options.weights, options.statistics
+        )
     if options.policy == TransporterPolicy.name:
         painted = GoalInput("painted", options.goal_style, options.goal_color)
         shown = read_demonstrations(attempts, 1 if options.symmetry is None else options.symmetry, painted)

@@ -16,16 +16,16 @@ from torch import Tensor, nn
 from baggie.policies import regression_plan
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18
+from baggie.policies.resnet import IMAGENET_MEAN, IMAGENET_STD, ResNet18, Statistics
 from baggie.types import DrawnStyle, Goal, Image, Observation, Plan, marked
 
 
 class Regressor(nn.Module):
     """ResNet-18 to its 1000 logits, then 1000-128-32-2 with ReLU: `(B, 3, 224, 224)` -> `(B, 2)` metres."""
 
-    def __init__(self) -> None:
+    def __init__(self, statistics: Statistics = "running") -> None:
         super().__init__()
-        self.resnet = ResNet18()
+        self.resnet = ResNet18(statistics)
         self.head = nn.Sequential(
             nn.Linear(1000, 128), nn.ReLU(), nn.Linear(128, 32), nn.ReLU(), nn.Linear(32, 2)
         )
@@ -42,10 +42,11 @@ class RegressionNet(nn.Module):
     mean: Tensor
     std: Tensor
 
-    def __init__(self) -> None:
+    def __init__(self, statistics: Statistics = "running") -> None:
         super().__init__()
-        self.pick = Regressor()
-        self.place = Regressor()
+        self.statistics: Statistics = statistics
+        self.pick = Regressor(statistics)
+        self.place = Regressor(statistics)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1), persistent=False)
 
@@ -74,14 +75,16 @@ class RegressionPolicy(LearnedPolicy):
         self.goal_input = GoalInput("painted", goal_style, goal_color)
 
     def model_config(self) -> dict[str, Any]:
-        """Nothing but how goals are drawn."""
-        return {"goal_style": self.goal_input.style, "goal_color": list(self.goal_input.color)}
+        """How goals are drawn, and what the network normalises by where that is not as published."""
+        own = {} if self.network.statistics == "running" else {"statistics": self.network.statistics}
+        return {"goal_style": self.goal_input.style, "goal_color": list(self.goal_input.color), **own}
 
     @classmethod
     def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
         """The policy with an untrained network."""
         drawn = regression_plan.goal_input(model)
-        return cls(RegressionNet(), picture_size, cell, drawn.style, drawn.color)
+        network = RegressionNet(model.get("statistics", "running"))
+        return cls(network, picture_size, cell, drawn.style, drawn.color)
 
     def painted(self, picture: Image, goal: Goal) -> Image:
         """A picture at its trained size and its goal -> `(224, 224, 3)` uint8 with the goal painted in it."""

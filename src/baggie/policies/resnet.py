@@ -6,6 +6,7 @@ Source: K. He, X. Zhang, S. Ren, J. Sun, "Deep residual learning for image recog
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import huggingface_hub
 import safetensors
@@ -23,19 +24,38 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 _HUB_FILE = "model.safetensors"
 
 
+Statistics = Literal["running", "picture"]
+"""What a trained network normalises by: averages over its training, as published, or each picture's own."""
+
+
+class PictureNorm(nn.BatchNorm2d):
+    """Batch normalisation by each picture's own mean and deviation: what one that learns from batches of one does.
+
+    Its running averages are of single pictures, and what it learned does not hold with them.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """`(B, C, H, W)` -> the same, each picture by itself, whether training or not."""
+        return F.instance_norm(x, weight=self.weight, bias=self.bias, eps=self.eps)
+
+
+NORMS: dict[Statistics, type[nn.BatchNorm2d]] = {"running": nn.BatchNorm2d, "picture": PictureNorm}
+
+
 class BasicBlock(nn.Module):
     """Two 3 x 3 convolutions around which the input is added."""
 
-    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+    def __init__(self, inputs: int, outputs: int, stride: int, statistics: Statistics = "running") -> None:
         super().__init__()
+        norm = NORMS[statistics]
         self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, padding=1, bias=False)
-        self.bn1 = nn.BatchNorm2d(outputs)
+        self.bn1 = norm(outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(outputs)
+        self.bn2 = norm(outputs)
         self.downsample: nn.Module | None = None
         if stride != 1 or inputs != outputs:
             projection = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
-            self.downsample = nn.Sequential(projection, nn.BatchNorm2d(outputs))
+            self.downsample = nn.Sequential(projection, norm(outputs))
 
     def forward(self, x: Tensor) -> Tensor:
         """`(B, inputs, H, W)` -> `(B, outputs, H / stride, W / stride)`."""
@@ -47,15 +67,17 @@ class BasicBlock(nn.Module):
 class ResNet18(nn.Module):
     """Images `(B, 3, H, W)`, normalised with ImageNet's mean and deviation -> logits `(B, 1000)`."""
 
-    def __init__(self) -> None:
+    def __init__(self, statistics: Statistics = "running") -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False)
-        self.bn1 = nn.BatchNorm2d(64)
+        self.bn1 = NORMS[statistics](64)
         self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
-        self.layer1 = nn.Sequential(BasicBlock(64, 64, 1), BasicBlock(64, 64, 1))
-        self.layer2 = nn.Sequential(BasicBlock(64, 128, 2), BasicBlock(128, 128, 1))
-        self.layer3 = nn.Sequential(BasicBlock(128, 256, 2), BasicBlock(256, 256, 1))
-        self.layer4 = nn.Sequential(BasicBlock(256, 512, 2), BasicBlock(512, 512, 1))
+        self.layer1, self.layer2, self.layer3, self.layer4 = (
+            nn.Sequential(
+                BasicBlock(inputs, outputs, stride, statistics), BasicBlock(outputs, outputs, 1, statistics)
+            )
+            for inputs, outputs, stride in ((64, 64, 1), (64, 128, 2), (128, 256, 2), (256, 512, 2))
+        )
         self.fc = nn.Linear(512, 1000)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
