@@ -70,9 +70,22 @@ def test_every_policy_keeps_the_contract(attempt, keypoint, regression):
 def test_oracle_says_the_truth_as_it_is_now(attempt):
     poses = [PlanarPose(0.4, 0.1, 0.2), PlanarPose(0.5, -0.1, 0.0)]
     oracle = OraclePolicy(lambda: poses[0], lambda: poses[1])
-    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick == poses[0]
+    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick.xy.tolist() == [poses[0].x, poses[0].y]
     poses[0] = PlanarPose(0.6, 0.0)
-    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick == poses[0]
+    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick.xy.tolist() == [poses[0].x, poses[0].y]
+
+
+@pytest.mark.parametrize("symmetry", [0, 1, 2, 4])
+@pytest.mark.parametrize("yaws", [(2.5, -3.0), (-0.2, 0.1), (1.5, 1.7)])
+def test_the_oracle_turns_the_wrist_no_more_than_it_has_to(attempt, symmetry, yaws):
+    bag, goal = (PlanarPose(0.5, 0.0, yaw) for yaw in yaws)
+    action = OraclePolicy(lambda: bag, lambda: goal, lambda: symmetry).plan(attempt.before).action
+    turn = 2 * math.pi / symmetry if symmetry else 0.0
+    turned = action.place.yaw - action.pick.yaw
+    assert abs(action.pick.yaw) <= turn / 2 + 1e-9
+    assert abs(turned) <= turn / 2 + 1e-9
+    if symmetry:  # and what it carries ends as it should
+        assert math.remainder(bag.yaw + turned - goal.yaw, turn) == pytest.approx(0, abs=1e-9)
 
 
 def published_resnet18() -> dict[str, tuple[int, ...]]:

@@ -39,7 +39,11 @@ def open_bench(options: EvaluateOptions) -> Bench:
     map_file = card_map(options)
     to_robot = ImageToRobot.load(map_file) if map_file else None
     if options.policy == OraclePolicy.name:
-        bench = Bench(cell, OraclePolicy(cell.truth, lambda: bench.goal), to_robot)
+        bench = Bench(
+            cell,
+            OraclePolicy(cell.truth, lambda: bench.goal, lambda: cell.settings.object_symmetry),
+            to_robot,
+        )
         return bench
     policy = open_policy(options.policy, options.calibration or options.out)
     if isinstance(policy, ColorMaskPolicy):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
-from baggie.geometry import PlanarPose
+from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
 
@@ -16,11 +18,26 @@ class OraclePolicy(Policy):
 
     name = "oracle"
 
-    def __init__(self, bag_pose: Callable[[], PlanarPose], goal_pose: Callable[[], PlanarPose]) -> None:
-        """Both are asked at every plan: poses now, in the robot's base frame."""
+    def __init__(
+        self,
+        bag_pose: Callable[[], PlanarPose],
+        goal_pose: Callable[[], PlanarPose],
+        symmetry: Callable[[], int] = lambda: 4,
+    ) -> None:
+        """All are asked at every plan: poses now, in the robot's base frame, and how often a turn the bag looks the
+        same, 0 for at any angle.
+        """
         self.bag_pose = bag_pose
         self.goal_pose = goal_pose
+        self.symmetry = symmetry
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """The true poses; neither the picture nor the goal in it is looked at."""
-        return Plan(PickPlace(self.bag_pose(), self.goal_pose()))
+        """The true poses; neither the picture nor the goal in it is looked at.
+
+        Of the yaws that look the same those that turn the wrist least: others may be out of its reach.
+        """
+        bag, end, symmetry = self.bag_pose(), self.goal_pose(), self.symmetry()
+        turn = 2 * math.pi / symmetry if symmetry else 0.0
+        pick_yaw = wrap_angle(bag.yaw, turn) if turn else 0.0
+        place_yaw = pick_yaw + (wrap_angle(end.yaw - pick_yaw, turn) if turn else 0.0)
+        return Plan(PickPlace(replace(bag, yaw=pick_yaw), replace(end, yaw=place_yaw)))
