@@ -12,19 +12,23 @@ from __future__ import annotations
 import argparse
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 from unittest.mock import patch
 
-import mujoco
 import numpy as np
+
+import baggie.sim  # noqa: F401  # before MuJoCo, which looks for an OpenGL library as soon as it is imported
+
+# isort: split
+import mujoco
 
 from baggie.sim.depth_cameras import DepthRenderer
 from baggie.sim.kinematics import Kinematics
 from baggie.sim.tasks import TASKS
 from baggie.workcell import height_map_camera
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
+from stopwatch import timed
 
 SEED = 0xB10C
 PARTS = ("physics", "inverse kinematics", "rendering", "fusing")
@@ -98,19 +102,6 @@ def stopwatches(spent: dict[str, float]) -> Iterator[None]:
         patch.object(height_map_camera, "fuse", timed(height_map_camera.fuse, "fusing", spent)),
     ):
         yield
-
-
-def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
-    """The same function, whose processor time is added up under this name."""
-
-    def run(*args: Any, **kwargs: Any) -> Any:
-        start = time.process_time()
-        result = function(*args, **kwargs)
-        spent[name] += time.process_time() - start
-        return result
-
-    run.__wrapped__ = function  # type: ignore[attr-defined]
-    return run
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -23,6 +22,7 @@ from baggie.sim.cell import draw_cell
 from baggie.sim.kinematics import Kinematics
 from baggie.workcell.primitives import pick, place
 from baggie.workcell.suction_arm import BLOCK_HANDLING, SuctionArm
+from stopwatch import timed
 
 EPISODES = 5
 PLACES = (-0.042, 0.0, 0.042, -0.021, 0.021, 0.0)
@@ -86,18 +86,6 @@ def scene(rng: np.random.Generator) -> tuple[PlanarPose, dict[str, PlanarPose]]:
         for number, name in enumerate(BLOCKS)
     }
     return base, poses
-
-
-def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
-    """The same function, whose processor time is added up under this name."""
-
-    def run(*args: Any, **kwargs: Any) -> Any:
-        start = time.process_time()
-        result = function(*args, **kwargs)
-        spent[name] += time.process_time() - start
-        return result
-
-    return run
 
 
 if __name__ == "__main__":

@@ -24,6 +24,11 @@ def goal_of(attempt: Attempt) -> Goal:
     return Goal(np.asarray(attempt.box_after, float))
 
 
+def shown_goal(attempt: Attempt) -> Goal | None:
+    """Where the object came to rest, as the goal in the picture before; None for a task without a marked goal."""
+    return goal_of(attempt) if np.isfinite(attempt.box_after).all() else None
+
+
 def is_demonstration(attempt: Attempt) -> bool:
     """Whether an attempt can teach: it succeeded, and its goal lies wholly in the picture before."""
     if not attempt.outcome.success:

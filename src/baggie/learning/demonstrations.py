@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.data.annotation import goal_of
+from baggie.data.annotation import shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray
 from baggie.grid import Grid
 from baggie.policies.keypoint_plan import GoalInput
-from baggie.types import Attempt, Goal
+from baggie.types import Attempt
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,6 @@ class Demonstrations:
     def common_symmetry(self) -> int:
         """How often a turn everything that was picked looks the same: the greatest common divisor; 0 divides by all."""
         return int(np.gcd.reduce(self.symmetry))
-
-
-def shown_goal(attempt: Attempt) -> Goal | None:
-    """Where the object came to rest, as the goal in the picture before; None for a task without a marked goal."""
-    return goal_of(attempt) if np.isfinite(attempt.box_after).all() else None
 
 
 def read_demonstrations(

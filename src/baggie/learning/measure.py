@@ -6,9 +6,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
+from baggie.data.annotation import shown_goal
 from baggie.errors import BaggieError
 from baggie.evaluation.metrics import action_errors, references, summary
-from baggie.learning.demonstrations import shown_goal
 from baggie.policies.base import Policy
 from baggie.types import Attempt
 
