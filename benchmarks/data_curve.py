@@ -1,6 +1,6 @@
 """How many attempts does it take? `keypoint` trained on 10 to 400 of them.
 
-    python benchmarks/data_curve.py --recording runs/recordings/cell-5 --runs runs/data-curve
+    python benchmarks/data_curve.py --recording runs/recordings/cell-15 --runs runs/data-curve
 
 Small numbers are tried on several sets of attempts, none of which share one. All are measured on the same 50, which
 come after all of them. Writes docs/results/data-curve.{json,md,png}.
@@ -30,7 +30,7 @@ RESULTS = Path("docs/results")
 class Options:
     """Train and measure."""
 
-    recording: Path = Path("runs/recordings/cell-5")
+    recording: Path = Path("runs/recordings/cell-15")
     """At least 450 successful attempts."""
     runs: Path = Path("runs/data-curve")
 

@@ -27,7 +27,7 @@ class Options:
     recordings: Path = Path("runs/recordings")
     """Holds `cell-N`, and `varied-N` collected with --scenery varied."""
     runs: Path = Path("runs/generalisation")
-    cell: int = 0
+    cell: int = 16
     episodes: int = 50
     """In every scenery."""
     seed: int = 1

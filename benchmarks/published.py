@@ -41,11 +41,11 @@ class Options:
     without fine-tuning; a `printed-card` under other light, after re-annotating the recording with its measured colour,
     outlined and solid; the `color-mask` system with its 45 degree failures counted; `report`: all on one page.
     """
-    recording: Path = Path("runs/recordings/cell-5")
-    policies: Path = Path("runs/policies/cell-5")
+    recording: Path = Path("runs/recordings/cell-15")
+    policies: Path = Path("runs/policies/cell-15")
     """Runs of `regression` and `keypoint` on it."""
     runs: Path = Path("runs/published")
-    cell: int = 5
+    cell: int = 15
     episodes: int = 100
     seed: int = 0
 

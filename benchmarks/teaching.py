@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import torch
 
 from baggie.data import open_dataset
 from baggie.data.annotation import goal_of
+from baggie.evaluation.metrics import yaw_error_deg
 from baggie.geometry import FloatArray, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
@@ -95,7 +96,7 @@ def _teach(runs: Path, lesson: Lesson) -> list[str]:
 
 
 def _errors(recipe: KeypointRecipe, out: Path, val: Sequence[Attempt]) -> dict[str, Any]:
-    """Errors against the truth, cm; read from the network itself: without heat maps a policy would refuse to plan."""
+    """Errors against the truth, cm and degrees; from the network itself: without heat maps a policy would not plan."""
     policy = recipe.policy
     if recipe.network_class is KeypointRecipe.network_class:
         loaded = load_policy(out)
@@ -109,6 +110,7 @@ def _errors(recipe: KeypointRecipe, out: Path, val: Sequence[Attempt]) -> dict[s
     return {
         "pick_cm": errors[:, 0].tolist(),
         "place_cm": errors[:, 1].tolist(),
+        "yaw_deg": errors[:, 2].tolist(),
     }
 
 
@@ -119,4 +121,7 @@ def _error(policy: KeypointPolicy, attempt: Attempt) -> FloatArray:
     found = policy.read(image[None], np.array([0, 0, 1e4], np.float32), corners.astype(np.float32))
     assert attempt.truth is not None
     truth = np.stack([attempt.truth.before.xy, attempt.truth.after.xy])
-    return np.asarray(100 * np.linalg.norm(found.xy - truth, axis=1))
+    pick = replace(attempt.truth.before, yaw=float(found.yaw))
+    return np.array(
+        [*(100 * np.linalg.norm(found.xy - truth, axis=1)), yaw_error_deg(pick, attempt.truth.before)]
+    )

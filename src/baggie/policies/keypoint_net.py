@@ -101,7 +101,11 @@ class KeypointNet(nn.Module):
         fine, middle, coarse = (bring(x) for bring, x in zip(self.bring, found, strict=True))
         middle = self.up1(middle + _twice(coarse))
         fine = self.up0(fine + _twice(self.narrow(middle)))
-        return self.heat(fine), self.phase(torch.cat([middle, edge_phases(images)], dim=1))
+        return self.heat(fine), self.phase(torch.cat([middle, self.directions(images)], dim=1))
+
+    def directions(self, images: Tensor) -> Tensor:
+        """What the phases are read from beside the features: `edge_phases`."""
+        return edge_phases(images)
 
     def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
         """Points and poses from what `fields` gives."""

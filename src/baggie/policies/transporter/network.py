@@ -65,7 +65,7 @@ class TransporterNet(nn.Module):
         """Where to pick and where to place; each look is about where the one before it ended."""
         scene: Scene = self.look(color, height)
         rows, columns = height.shape[-2:]
-        edge = height.new_tensor([columns - 0.5, rows - 0.5])
+        last = height.new_tensor([columns - 1.0, rows - 1.0])
         start = PlaceAngle(height.new_zeros(len(height), 2), height.new_zeros(len(height)))
         pick, place = start, start
         picks, places = [], []
@@ -75,5 +75,5 @@ class TransporterNet(nn.Module):
         for stage in self.places:
             places.append(stage(scene, pick, place))
             found = places[-1].read(place)
-            place = PlaceAngle(found.place.clamp_min(-0.5).minimum(edge), found.angle)
+            place = PlaceAngle(found.place.clamp_min(0).minimum(last), found.angle)
         return Decision(pick, place, picks, places)
