@@ -50,7 +50,11 @@ def open_file_cell(path: Path, number: int) -> CollectorCell:
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
     cell = open_workcell(path)
-    assert isinstance(cell, SimulatedWorkcell)  # the one kind so far
+    if not isinstance(cell, SimulatedWorkcell):
+        cell.close()
+        raise BaggieError(
+            f"expected {path} to describe a simulated workcell, to collect in; give one with `arm: sim`"
+        )
     if cell.world.cell.number != number:
         cell.close()
         raise BaggieError(

@@ -21,7 +21,8 @@ from baggie.types import Image, Observation
 from baggie.vision.picture_files import write_picture
 from baggie.vision.targets import Seen
 from baggie.workcell.camera import Camera
-from baggie.workcell.opencv_camera import OpenCVCamera
+from baggie.workcell.cameras.opening import open_camera
+from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.workcell import Workcell
 
 
@@ -34,7 +35,8 @@ class LiveOptions:
     cell: int = 0
     """Number of the simulated workcell."""
     camera: str | None = None
-    """A camera without an arm: its number, device or address as OpenCV opens it, or a video file."""
+    """A camera without an arm: its number, device or address as OpenCV opens it, or a video file; or `realsense`,
+    `orbbec`, `k4a`, each with `:SERIAL` where several are plugged in."""
     seed: int = 0
     """Of what is random: where a simulated person holds the board, which points are visited."""
 
@@ -79,7 +81,7 @@ def open_bench(options: LiveOptions) -> Iterator[Bench]:
     """Open what the options name, and close it after. Raises `BaggieError`, `CameraError`."""
     console = Console(stderr=True)
     if options.camera is not None:
-        camera = OpenCVCamera(options.camera)
+        camera = open_camera(CameraSettings.from_words(options.camera))
         try:
             yield Bench(camera, None, PersonAtTerminal(), console)
         finally:

@@ -13,10 +13,14 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot
+from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
 from baggie.sim.bag import LONG_ASPECT, BagParameters
 from baggie.workcell.calibrations import Calibrations
+from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.file_errors import explain
+from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -51,9 +55,13 @@ class CalibrationFiles(_Section):
 
 
 class WorkcellFile(_Section):
-    """The whole file. `arm: sim` is the one kind of arm so far."""
+    """The whole file. The simulated arm and the recorded one see with the camera they have."""
 
-    arm: Literal["sim"] = "sim"
+    arm: Literal["sim", "replay"] = "sim"
+    camera: CameraSettings | None = None
+    """Of a real arm."""
+    recording: Path | None = None
+    """Of `arm: replay`: the folder, from the workcell file's own."""
     cell: int = Field(0, ge=0)
     workspace: Bounds = Bounds()
     bag: Bag = Bag()
@@ -71,6 +79,14 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
     if str(source) == "sim":
         return SimulatedWorkcell(cell)
     written = read_workcell_file(Path(source))
+    if written.camera is not None:
+        raise BaggieError(
+            f"{source}: the arm {written.arm!r} sees with a camera of its own; take camera out of the file"
+        )
+    if (written.arm == "replay") != (written.recording is not None):
+        raise BaggieError(
+            f"{source}: `arm: replay` and `recording: FOLDER` go together; give both or neither"
+        )
     bag = BagParameters(
         length_m=written.bag.length_m,
         width_m=written.bag.width_m,
@@ -88,7 +104,11 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
         object_symmetry=bag.symmetry,
         sure_within_m=written.sure_within_m,
     )
-    opened = SimulatedWorkcell(written.cell, settings, bag)
+    opened: Workcell
+    if written.recording is not None:
+        opened = ReplayWorkcell(open_dataset(Path(source).parent / written.recording), settings)
+    else:
+        opened = SimulatedWorkcell(written.cell, settings, bag)
     identity = CameraIdentity(opened.camera.name, *opened.camera.size)
     try:
         opened.use(_load(written.calibrations, Path(source).parent, identity))
@@ -110,7 +130,8 @@ def _load(files: CalibrationFiles, folder: Path, camera: CameraIdentity) -> Cali
 def read_workcell_file(path: Path) -> WorkcellFile:
     """Read and check a workcell file. Raises `BaggieError` with the entry that is wrong and what it may be."""
     try:
-        return WorkcellFile.model_validate(yaml.safe_load(path.read_text()) or {})
+        text = path.read_text()
+        return WorkcellFile.model_validate(yaml.safe_load(text) or {})
     except OSError as error:
         raise BaggieError(
             f"no workcell file {path} ({error.strerror}); give a YAML file, or 'sim' for the simulated workcell"
@@ -118,6 +139,4 @@ def read_workcell_file(path: Path) -> WorkcellFile:
     except yaml.YAMLError as error:
         raise BaggieError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        entry = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise BaggieError(f"{path}: {entry}: {first['msg']}, got {first['input']!r}") from None
+        raise BaggieError(explain(path, text, error, WorkcellFile)) from None

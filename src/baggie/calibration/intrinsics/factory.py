@@ -14,7 +14,7 @@ from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 
-_MODELS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "none"})
+_MODELS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "brown_conrady_k6", "none"})
 """Names of OpenCV's model. Others bend rays another way."""
 _VARIANTS = frozenset({"inverse_brown_conrady", "modified_brown_conrady"})
 """The same where all coefficients are zero, as they often are."""
@@ -63,18 +63,18 @@ def _ros(content: Mapping[str, Any]) -> Intrinsics | None:
     model = str(content["distortion_model"])
     if "camera_matrix" in content:
         size = content["image_width"], content["image_height"]
-        return _intrinsics(
+        return opencv_intrinsics(
             size, content["camera_matrix"]["data"], content["distortion_coefficients"]["data"], model
         )
     lower = {str(key).lower(): value for key, value in content.items()}
-    return _intrinsics((lower["width"], lower["height"]), lower["k"], lower["d"], model)
+    return opencv_intrinsics((lower["width"], lower["height"]), lower["k"], lower["d"], model)
 
 
 def _realsense(content: Mapping[str, Any]) -> Intrinsics | None:
     if not {"fx", "fy", "ppx", "ppy", "coeffs"} <= set(content):
         return None
     matrix = [content["fx"], 0, content["ppx"], 0, content["fy"], content["ppy"], 0, 0, 1]
-    return _intrinsics(
+    return opencv_intrinsics(
         (content["width"], content["height"]), matrix, content["coeffs"], str(content["model"])
     )
 
@@ -92,10 +92,14 @@ def _opencv(text: str) -> Intrinsics:
     fisheye = storage.getNode("fisheye_model")
     model = "fisheye" if not fisheye.empty() and fisheye.real() else "plumb_bob"
     size = first(_SIZE[0]).real(), first(_SIZE[1]).real()
-    return _intrinsics(size, first(_MATRIX).mat(), first(_DISTORTION).mat(), model)
+    return opencv_intrinsics(size, first(_MATRIX).mat(), first(_DISTORTION).mat(), model)
 
 
-def _intrinsics(size: tuple[Any, Any], matrix: Any, distortion: Any, model: str) -> Intrinsics:
+def opencv_intrinsics(size: tuple[Any, Any], matrix: Any, distortion: Any, model: str) -> Intrinsics:
+    """What a maker says of a camera: `(width, height)`, 9 numbers, coefficients in OpenCV's order, the lens model.
+
+    Raises `CalibrationError` where the model is not OpenCV's, `ValueError` where numbers are impossible.
+    """
     coefficients = np.array(distortion, float).ravel()
     _check_model(model, coefficients)
     if len(coefficients) not in _LENGTHS:

@@ -1,0 +1,164 @@
+"""What all cameras that stream have in common: the newest picture, a limit to waiting, opening again what was lost."""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import median
+from typing import Protocol
+
+import numpy as np
+
+from baggie.errors import CameraError
+from baggie.types import Image, Intrinsics, Observation
+from baggie.workcell.cameras.settings import CameraSettings
+
+RETRY_S = 0.5
+"""Between two tries to open a camera that was lost; a device takes about a second to come back after its plug does."""
+_GRACE_S = 1.0
+"""One more picture may come so late, to tell a camera that has frozen from one that is dead."""
+_INTERVALS = 15
+"""So many intervals between frames say what is usual."""
+
+
+class Stream(Protocol):
+    """An open device that delivers frame after frame. After a `CameraError` it is closed and another one is opened."""
+
+    name: str
+    """Of the camera, one line: kept in calibrations, shown in errors."""
+    intrinsics: Intrinsics | None
+    """The manufacturer's; None where it does not tell."""
+    settings: CameraSettings
+    """Those it was opened with, with the camera, exposure and white balance that it found in place of None."""
+
+    def grab(self) -> None:
+        """Wait for the next frame and keep it. Raises `CameraError` when none comes."""
+        ...
+
+    def retrieve(self) -> Observation:
+        """The frame kept last, decoded. Raises `CameraError` when it cannot be used."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
+
+
+class LiveCamera:
+    """A `Camera` over a stream. A thread takes every frame, so that nothing old waits anywhere; it decodes only what
+    somebody looks at.
+
+    A picture counts as taken after the call when waiting for it began after the call, and when there *was* a wait: one
+    that was there at once had been lying in a buffer since before. A picture that is the last one over again, bit by
+    bit, is none either: every sensor has noise, so the camera has frozen.
+
+    When the stream breaks off, the next look opens it again, and again, until its time is over.
+    """
+
+    def __init__(self, open_stream: Callable[[CameraSettings], Stream], settings: CameraSettings) -> None:
+        """Raises `CameraError` when the stream does not open or delivers nothing."""
+        self._open, self._timeout_s = open_stream, settings.timeout_s
+        self._look = threading.Lock()
+        self._changed = threading.Condition()
+        self._asked: float | None = None  # when the look began that waits for a picture
+        self._answer: Observation | None = None
+        self._trouble: CameraError | None = None
+        self._closed = False
+        stream = open_stream(settings)
+        self.name, self.intrinsics = stream.name, stream.intrinsics
+        self._settings = stream.settings  # the same camera, locked likewise, when it is opened again
+        self._thread = threading.Thread(target=self._run, args=(stream,), name=self.name, daemon=True)
+        self._thread.start()
+        atexit.register(self.close)  # a thread inside a driver must not outlive the interpreter
+        try:
+            first = self._newest(time.monotonic() + self._timeout_s)
+        except CameraError:
+            self.close()
+            raise
+        self.size = first.size
+        self._last: Image = first.color
+
+    def look(self) -> Observation:
+        """The newest picture, taken after the call; its time is when it came, seconds of the wall clock.
+
+        Raises `CameraError` when none comes in time, or always the same, or one of another size.
+        """
+        with self._look:
+            deadline = time.monotonic() + self._timeout_s
+            observation = self._newest(deadline)
+            while np.array_equal(observation.color, self._last):
+                if time.monotonic() > deadline:
+                    raise CameraError(
+                        f"{self.name} has frozen: it repeated one picture for {self._timeout_s:g} s; unplug it and "
+                        "plug it in again, or restart what sends its stream"
+                    )
+                observation = self._newest(deadline + _GRACE_S)
+            if observation.size != self.size:
+                raise CameraError(
+                    f"{self.name} used to give pictures of {self.size[0]} x {self.size[1]} pixels, now of "
+                    f"{observation.size[0]} x {observation.size[1]}; set it back, or open it again"
+                )
+            self._last = observation.color.copy()  # the caller may draw into its own
+            return replace(observation, intrinsics=self.intrinsics)
+
+    def close(self) -> None:
+        """Let go of the camera; no look works any more."""
+        atexit.unregister(self.close)
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(self._timeout_s)  # a driver may have to finish waiting for its frame
+
+    def _newest(self, deadline: float) -> Observation:
+        with self._changed:
+            self._asked, self._answer = time.monotonic(), None
+            self._changed.notify_all()
+            left = max(0.0, deadline - time.monotonic())
+            self._changed.wait_for(lambda: self._answer is not None or self._closed, left)
+            self._asked = None
+            if self._answer is not None:
+                return self._answer
+            if self._closed:
+                raise CameraError(f"{self.name} is closed; open it again")
+            why = f" ({str(self._trouble).split(';')[0]})" if self._trouble else ""  # without its remedy
+            raise CameraError(
+                f"{self.name} gave no picture within {self._timeout_s:g} s{why}; check its cable and power, or raise "
+                "timeout_s of the camera"
+            )
+
+    def _run(self, stream: Stream | None) -> None:
+        """The thread: take frames, open again what broke off, until closed."""
+        while not self._closed:
+            try:
+                stream = stream or self._open(self._settings)
+                self._take_frames(stream)
+            except CameraError as error:
+                self._trouble = error
+            if stream is not None:
+                stream.close()
+                stream = None
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, RETRY_S)
+                self._changed.wait_for(lambda: self._closed or self._asked is not None)
+
+    def _take_frames(self, stream: Stream) -> None:
+        intervals: deque[float] = deque(maxlen=_INTERVALS)
+        came = time.monotonic()
+        while not self._closed:
+            began, before = time.monotonic(), came
+            stream.grab()
+            came = time.monotonic()
+            intervals.append(came - before)
+            asked = self._asked
+            if asked is None or began < asked or came - began < median(intervals) / 2:
+                continue
+            arrived = time.time()
+            observation = replace(stream.retrieve(), time=arrived)
+            with self._changed:
+                if self._asked == asked:
+                    self._asked, self._answer, self._trouble = None, observation, None
+                    self._changed.notify_all()

@@ -1,0 +1,47 @@
+"""The camera that settings describe."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Protocol
+
+from baggie.errors import CameraError
+from baggie.workcell.camera import Camera
+from baggie.workcell.cameras.live import LiveCamera
+from baggie.workcell.cameras.opencv import OpenCVStream, is_live
+from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.cameras.video_file import VideoFile
+
+_PACKAGES = {
+    "realsense": ("pyrealsense2", "pip install 'baggie[realsense]'"),
+    "orbbec": ("pyorbbecsdk", "pip install --no-deps pyorbbecsdk2"),
+    "k4a": ("pyk4a", "install Microsoft's Azure Kinect Sensor SDK, then: pip install 'baggie[k4a]'"),
+}
+"""What each kind imports, and how to get it."""
+
+
+class OpenCamera(Camera, Protocol):
+    """A camera that somebody has to close."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        ...
+
+
+def open_camera(settings: CameraSettings) -> OpenCamera:
+    """Open a camera. Raises `CameraError` when it is not there, cannot be set so, or its package is not installed."""
+    if settings.kind == "opencv":
+        source = settings.source or "0"
+        if not is_live(source):
+            return VideoFile(source, settings)
+        return LiveCamera(OpenCVStream, settings)
+    package, remedy = _PACKAGES[settings.kind]
+    try:
+        importlib.import_module(package)
+    except ImportError as error:
+        raise CameraError(
+            f"a camera of kind {settings.kind} needs the package {package}, which cannot be imported "
+            f"({' '.join(str(error).split())}); {remedy}"
+        ) from None
+    stream = importlib.import_module(f"baggie.workcell.cameras.{settings.kind}").open_stream
+    return LiveCamera(stream, settings)
