@@ -19,6 +19,7 @@ from baggie.types import Observation
 from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
 from baggie.workcell.camera import Camera
+from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.height_map_camera import HeightMapCamera
 from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
 
@@ -37,6 +38,10 @@ def bowls() -> Iterator[BlockWorkcell]:
     cell = open_block_workcell("place-red-in-green")
     yield cell
     cell.close()
+
+
+def test_its_camera_keeps_the_contract(pyramid: BlockWorkcell) -> None:
+    check_camera(pyramid.camera)
 
 
 def finish(cell: BlockWorkcell) -> float:

@@ -14,8 +14,9 @@ from baggie.sim.kinematics import Kinematics, quintic
 from baggie.sim.scene import HOME, arm_spec
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import PickPlace
+from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
-from workcell_contract import check_arm, check_camera
+from workcell_contract import check_arm
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def test_the_simulated_arm_keeps_the_contract(cell: SimulatedWorkcell) -> None:
 
 def test_the_simulated_camera_keeps_the_contract(cell: SimulatedWorkcell) -> None:
     cell.reset((2,))
-    check_camera(cell)
+    check_camera(cell.camera)
 
 
 def test_a_bag_is_picked_carried_and_put_down(cell: SimulatedWorkcell) -> None:

@@ -13,7 +13,7 @@ from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace, Plan
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.camera import Camera
-from baggie.workcell.config import read_workcell_file
+from baggie.workcell.config import open_workcell, read_workcell_file
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.workcell import Workcell, WorkcellSettings
@@ -223,7 +223,17 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
     [
         ("bag:\n  mass_kg: -1\n", r"bag\.mass_kg: .*greater than 0\.02, got -1"),
         ("sure_within_m: 0\n", r"sure_within_m: .*greater than 0, got 0"),
-        ("camera: usb\n", r"camera: Extra inputs are not permitted"),
+        (
+            "lens: wide\n",
+            r"cell\.yaml, line 1: lens: there is no such entry; take it out, or give one of arm, ",
+        ),
+        (
+            "cell: 3\ncamera:\n  kind: usb\n",
+            r"line 3: camera\.kind: .*'realsense', 'orbbec' or 'k4a', got 'usb'",
+        ),
+        ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
+        ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),
+        ("camera: 0\n", r"line 1: camera: .*, got 0; change it"),
         ("cell: [", "is no YAML"),
     ],
 )
@@ -232,6 +242,13 @@ def test_a_wrong_workcell_file_names_the_entry(tmp_path: Path, text: str, messag
     path.write_text(text)
     with pytest.raises(BaggieError, match=message):
         read_workcell_file(path)
+
+
+def test_the_simulated_arm_brings_its_own_camera(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("camera:\n  source: '0'\n")
+    with pytest.raises(BaggieError, match="a camera of its own; take camera out"):
+        open_workcell(path)
 
 
 def test_a_missing_workcell_file_says_what_to_give() -> None:

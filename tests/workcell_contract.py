@@ -1,4 +1,4 @@
-"""What every workcell must do, whoever made its arm and camera. Call these from the tests of a new one."""
+"""What every arm must do, whoever made it. Call this from the tests of a new one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.workcell.arm import Arm
-from baggie.workcell.camera import Camera
 from baggie.workcell.workcell import Workcell
 
 POSITION_TOLERANCE_M = 0.002
@@ -44,17 +43,3 @@ def check_arm(cell: Workcell) -> None:
     with pytest.raises(LimitError):
         arm.move_gripper(-0.01)
     np.testing.assert_allclose(arm.pose().xyz, before.xyz, atol=1e-3)  # nothing was moved
-
-
-def check_camera(cell: Workcell) -> None:
-    """Pictures have the size that was promised, and are new each time."""
-    camera = cell.camera
-    assert isinstance(camera, Camera)
-    first, second = cell.look(), cell.look()
-    for observation in (first, second):
-        assert observation.color.dtype == np.uint8
-        assert observation.size == tuple(camera.size)
-        if observation.depth is not None:
-            assert observation.depth.shape == observation.color.shape[:2]
-            assert observation.depth.dtype == np.float32
-    assert not np.array_equal(first.color, second.color), "two pictures never have the same noise"

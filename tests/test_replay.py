@@ -1,0 +1,86 @@
+"""A recording plays through the same loop as a live table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baggie.data import Dataset, DatasetWriter, open_dataset
+from baggie.errors import BaggieError, CameraError, LimitError, ReachError
+from baggie.geometry import PlanarPose, Rectangle
+from baggie.types import PickPlace, Plan
+from baggie.workcell.arm import Arm
+from baggie.workcell.camera_contract import check_camera
+from baggie.workcell.config import open_workcell
+from baggie.workcell.replay import ReplayWorkcell
+from baggie.workcell.workcell import Workcell
+from synthetic import TASK, make_attempt
+
+SIZE = (64, 36)
+COUNT = 3
+SOMEWHERE = PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.1))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("replay") / "recording"
+    rng = np.random.default_rng(0)
+    with DatasetWriter(root, task=TASK, robot_type="drawn", picture_size=SIZE, collection={}) as writer:
+        for i in range(COUNT):
+            writer.append(make_attempt(i, rng, SIZE, failure="missed-grasp" if i == 1 else None))
+    return open_dataset(root)
+
+
+@pytest.fixture
+def cell(recording: Dataset) -> ReplayWorkcell:
+    return ReplayWorkcell(recording)
+
+
+def test_its_camera_keeps_the_contract(cell: ReplayWorkcell) -> None:
+    assert isinstance(cell, Workcell)
+    assert isinstance(cell.arm, Arm)
+    check_camera(cell.camera, live=False)
+
+
+def test_pictures_and_outcomes_come_as_they_were_recorded(cell: ReplayWorkcell, recording: Dataset) -> None:
+    for recorded in recording:
+        observation = cell.look()
+        np.testing.assert_array_equal(observation.color, recorded.before.color)
+        np.testing.assert_array_equal(cell.look().color, recorded.before.color)
+        assert cell.clock() == observation.time == recorded.before.time
+        assert cell.attempt.attempt_id == recorded.attempt_id
+        assert cell.carry_out(Plan(SOMEWHERE)) == recorded.outcome
+    with pytest.raises(CameraError, match="all 3 attempts were played"):
+        cell.look()
+
+
+def test_what_no_workcell_does_it_does_not_either(cell: ReplayWorkcell) -> None:
+    first = cell.attempt.attempt_id
+    with pytest.raises(LimitError):
+        cell.execute(PickPlace(PlanarPose(5.0, 0.0), SOMEWHERE.place))
+    with pytest.raises(ReachError, match="replayed arm"):
+        cell.arm.move_to(SOMEWHERE.pick.at_height(0.3), 0.2)
+    assert cell.attempt.attempt_id == first
+
+
+def test_an_empty_recording_is_refused(recording: Dataset) -> None:
+    with pytest.raises(BaggieError, match="got an empty one"):
+        ReplayWorkcell(recording[:0])
+
+
+def test_a_workcell_file_may_name_a_recording(recording: Dataset) -> None:
+    path = recording.root.parent / "cell.yaml"
+    path.write_text("arm: replay\nrecording: recording\nworkspace:\n  x: [0.3, 0.6]\n")
+    cell = open_workcell(path)
+    assert cell.settings.workspace == Rectangle(0.3, 0.6, -0.3, 0.3)
+    np.testing.assert_array_equal(cell.look().color, recording[0].before.color)
+
+
+@pytest.mark.parametrize("text", ["arm: replay\n", "recording: somewhere\n"])
+def test_a_recording_and_its_arm_go_together(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(text)
+    with pytest.raises(BaggieError, match="go together"):
+        open_workcell(path)
