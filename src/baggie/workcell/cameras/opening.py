@@ -14,7 +14,7 @@ from baggie.workcell.cameras.video_file import VideoFile
 
 _PACKAGES = {
     "realsense": ("pyrealsense2", "pip install 'baggie[realsense]'"),
-    "orbbec": ("pyorbbecsdk", "pip install --no-deps pyorbbecsdk2"),
+    "orbbec": ("pyorbbecsdk", "pip install 'baggie[orbbec]'"),
     "k4a": ("pyk4a", "install Microsoft's Azure Kinect Sensor SDK, then: pip install 'baggie[k4a]'"),
 }
 """What each kind imports, and how to get it."""
