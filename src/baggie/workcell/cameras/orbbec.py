@@ -15,7 +15,6 @@ from baggie.workcell.cameras.settings import CameraSettings
 _ERRORS = (ob.OBError, RuntimeError)
 _SETTLE_FRAMES = 30
 """So many frames automatic exposure and white balance have before they are locked."""
-_BROWN_CONRADY_K6 = 4  # of OBCameraDistortionModel; pyorbbecsdk2 2.0 delivers it but has no name for it
 _CONTROLS = (
     (
         "exposure_ms",
@@ -122,9 +121,10 @@ def to_intrinsics(lens: Any, distortion: Any) -> Intrinsics:
     d = distortion
     matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
     coefficients = [d.k1, d.k2, d.p1, d.p2, d.k3, d.k4, d.k5, d.k6]
-    rational = d.model.value == _BROWN_CONRADY_K6
-    model = "brown_conrady_k6" if rational else d.model.name
-    return opencv_intrinsics((lens.width, lens.height), matrix, coefficients[: 8 if rational else 5], model)
+    model = (
+        d.model.name if hasattr(d, "model") else "brown_conrady_k6"
+    )  # 2.0 does not say; the Femto's is this one
+    return opencv_intrinsics((lens.width, lens.height), matrix, coefficients, model)
 
 
 def lock(device: Any, settings: CameraSettings, name: str) -> None:
