@@ -62,6 +62,11 @@ class MjpegServer:
         self.port = self._server.server_port
         threading.Thread(target=self._server.serve_forever, args=(0.02,), daemon=True).start()
 
+    def repeat(self) -> None:
+        """Make one more picture, and send that over and over."""
+        self._number += 1
+        self.mode = "repeat"
+
     def go_away(self) -> None:
         """Hang up on everybody and stop listening."""
         self._up = False

@@ -108,8 +108,8 @@ def test_a_network_camera_that_hangs_or_repeats_itself_is_noticed_and_comes_back
     server.mode = "hang"
     with pytest.raises(CameraError, match="no picture within 4 s"):
         network.look()
-    server.mode = "repeat"
-    network.look()  # differs from the last one that was looked at
+    server.repeat()
+    network.look()
     with pytest.raises(CameraError, match="has frozen"):
         network.look()
     server.mode = "run"
