@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
@@ -31,6 +32,7 @@ class RecordingArm:
         self.at = ToolPose(0.4, 0.0, 0.4)
         self.width, self._held, self._floor = 0.08, width, floor_z
         self.poses: list[ToolPose] = []
+        self.speeds: list[float] = []
         self.log: list[str] = []
 
     def pose(self) -> ToolPose:
@@ -39,6 +41,7 @@ class RecordingArm:
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         self.at = target
         self.poses.append(target)
+        self.speeds.append(speed_m_s)
         self.log.append(f"move {target.z:.3f}")
         return target
 
@@ -78,20 +81,52 @@ def guarded() -> tuple[GuardedArm, RecordingArm]:
     return GuardedArm(arm, SETTINGS.limits), arm
 
 
-@given(st.lists(st.tuples(anything, anything, anything, anything, anything), max_size=10))
-def test_no_motion_however_wild_gets_past_the_gate(motions: list[tuple[float, ...]]) -> None:
-    gate, arm = guarded()
-    limits = SETTINGS.limits
-    for x, y, z, yaw, speed in motions:
+wild = st.builds(ToolPose, anything, anything, anything, anything)
+near = st.builds(
+    ToolPose, *[st.floats(low, high) for low, high in ((0.1, 0.8), (-0.6, 0.6), (0, 0.8), (-4, 4))]
+)
+
+
+@given(st.lists(st.tuples(st.one_of(wild, near), st.one_of(anything, st.floats(0.1, 1.0))), max_size=20))
+def test_no_motion_however_wild_gets_past_the_gate(motions: list[tuple[ToolPose, float]]) -> None:
+    limits = replace(SETTINGS.limits, max_step_m=0.5, speed_scale=0.25)
+    arm = RecordingArm()
+    gate = GuardedArm(arm, limits)
+    for target, speed in motions:
         try:
-            gate.move_to(ToolPose(x, y, z, yaw), speed)
+            gate.move_to(target, speed)
         except LimitError:
             continue
-    for pose in arm.poses:
-        assert limits.z_min_m - 1e-6 <= pose.z <= limits.z_max_m
-        area = limits.workspace if pose.z < limits.clearance_z_m else limits.reach
-        assert area.contains(pose.x, pose.y)
-        assert math.isfinite(pose.yaw)
+    assert all(0 < speed <= 0.25 * limits.max_speed_m_s for speed in arm.speeds)
+    for start, end in pairwise([RecordingArm().at, *arm.poses]):
+        assert math.isfinite(end.yaw)
+        assert np.linalg.norm(end.xyz - start.xyz) <= 0.5 + 1e-9
+        for x, y, z in np.linspace(start.xyz, end.xyz, 20):
+            assert limits.z_min_m - 1e-6 <= z <= limits.z_max_m
+            area = limits.workspace if z < limits.clearance_z_m - 1e-6 else limits.reach
+            assert area.contains(x, y, margin=-1e-6)
+
+
+def test_an_arm_that_stands_low_outside_may_only_rise() -> None:
+    gate, arm = guarded()
+    arm.at = ToolPose(0.2, 0.0, 0.05)
+    with pytest.raises(LimitError, match="raise the arm first"):
+        gate.move_to(ToolPose(0.4, 0.0, 0.2), 0.2)
+    gate.move_to(replace(arm.at, z=0.2), 0.2)
+    gate.move_to(ToolPose(0.4, 0.0, 0.2), 0.2)
+    assert len(arm.poses) == 2
+
+
+@pytest.mark.parametrize("what", [KeyboardInterrupt, RuntimeError])
+def test_whatever_interrupts_a_motion_stops_the_arm_first(what: type[BaseException]) -> None:
+    class Interrupted(RecordingArm):
+        def grasp(self, force_n: float) -> float:
+            raise what
+
+    arm = Interrupted()
+    with pytest.raises(what):
+        GuardedArm(arm, SETTINGS.limits).grasp(5.0)
+    assert arm.log == ["stop"]
 
 
 @given(anything, anything, anything)
