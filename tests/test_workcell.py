@@ -4,17 +4,19 @@ from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import baggie
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace, Plan
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.camera import Camera
-from baggie.workcell.config import read_workcell_file
+from baggie.workcell.config import FrankaEntry, read_workcell_file
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.workcell import Workcell, WorkcellSettings
@@ -253,12 +255,47 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
     assert (written.cell, written.workspace.x, written.bag.mass_kg) == (3, (0.4, 0.6), 0.15)
 
 
+FRANKA = "arm:\n  kind: franka\n  host: 192.0.2.1\n"
+
+
+def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"{FRANKA}  model: panda\ncamera: 0\n")
+    arm = read_workcell_file(path).arm
+    assert isinstance(arm, FrankaEntry)
+    assert (arm.host, arm.model) == ("192.0.2.1", "panda")
+    assert arm.speed <= 0.1, "slow, until somebody has watched it"
+
+
+def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> None:
+    pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+    video = tmp_path / "table.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    (tmp_path / "cell.yaml").write_text(f"{FRANKA}camera: {video}\nworkspace:\n  x: [0.4, 0.5]\n")
+    cell = baggie.open_workcell(tmp_path / "cell.yaml")
+    try:
+        assert cell.arm.info.name == "FR3 at 192.0.2.1"
+        assert cell.camera.look().size == (64, 48)
+        with pytest.raises(LimitError):
+            cell.execute(PickPlace(PlanarPose(0.45, 0.0), PlanarPose(0.9, 0.0)))
+    finally:
+        cell.close()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("bag:\n  mass_kg: -1\n", r"bag\.mass_kg: .*greater than 0\.02, got -1"),
         ("sure_within_m: 0\n", r"sure_within_m: .*greater than 0, got 0"),
-        ("camera: usb\n", r"camera: Extra inputs are not permitted"),
+        ("lamp: 3\n", r"lamp: Extra inputs are not permitted"),
+        ("cell: 1\narm: ur5\n", r"line 2: arm: .*'ur5' .* 'sim', 'franka'"),
+        ("arm:\n  kind: franka\ncamera: 0\n", r"line 1: arm\.host: Field required"),
+        (f"{FRANKA}  speed: 2\n", r"line 4: arm\.speed: .*less than or equal to 1, got 2"),
+        (f"{FRANKA}  model: ur5\n", r"line 4: arm\.model: .*'fr3' or 'panda', got 'ur5'"),
+        (FRANKA, r"a real arm needs a real camera; write `camera: 0`"),
+        ("camera: 0\n", r"a simulated arm has a simulated camera; leave `camera` out"),
         ("cell: [", "is no YAML"),
     ],
 )

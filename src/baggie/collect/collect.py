@@ -50,7 +50,9 @@ def open_file_cell(path: Path, number: int) -> CollectorCell:
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
     cell = open_workcell(path)
-    assert isinstance(cell, SimulatedWorkcell)  # the one kind so far
+    if not isinstance(cell, SimulatedWorkcell):
+        cell.close()
+        raise BaggieError(f"collecting needs a simulated workcell so far, {path} describes a real arm")
     if cell.world.cell.number != number:
         cell.close()
         raise BaggieError(
