@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def check_arm(arm: GuardedArm, speed_m_s: float = 0.5) -> None:
 
     before = arm.pose()
     for bad in (ToolPose(2.0, 0.0, 0.3), ToolPose(0.5, 0.0, -0.1), ToolPose(float("nan"), 0.0, 0.3)):
-        _check_refused(lambda pose=bad: arm.move_to(pose, 0.2), f"move_to {bad}")
+        _check_refused(partial(arm.move_to, bad, 0.2), f"move_to {bad}")
     _check_refused(lambda: arm.move_to(target, 100.0), "move_to at 100 m/s")
     _check_refused(lambda: arm.lower_until_contact(-0.1, 0.2, 10.0), "lower_until_contact below the table")
     _check_refused(lambda: arm.grasp(1e4), "grasp with 10 kN")

@@ -168,10 +168,15 @@ class FrankaArm:
             turn = shorter - np.copysign(2 * np.pi, shorter)
             self._kinematics.line(q, replace(target, yaw=here.yaw + turn))
         shares = np.linspace(0, 1, int(np.ceil(max(abs(turn), 1e-9) / TURN_STEP_RAD)) + 1)[1:]
-        points = [here.xyz + share * (target.xyz - here.xyz) for share in shares]
+        way = target.xyz - here.xyz
         return [
-            ToolPose(*map(float, xyz), float(here.yaw + share * turn))
-            for xyz, share in zip(points, shares, strict=True)
+            ToolPose(
+                float(here.x + share * way[0]),
+                float(here.y + share * way[1]),
+                float(here.z + share * way[2]),
+                float(here.yaw + share * turn),
+            )
+            for share in shares
         ]
 
     def _straight(self, line: list[ToolPose], speed_m_s: float) -> Any:

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,7 @@ class CollisionError(ReachError):
     """A motion was cut short by a contact harder than a reflex allows; the robot has recovered."""
 
 
-def load_franky() -> ModuleType:
+def load_franky() -> Any:
     """The library that speaks with Franka robots. Raises `BaggieError` where it is not installed."""
     try:
         import franky  # noqa: PLC0415 -- an extra
