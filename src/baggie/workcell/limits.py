@@ -32,8 +32,6 @@ class Limits:
     max_step_m: float = 1.2
     """The farthest one motion may lead: further is taken for a mistake."""
     max_speed_m_s: float = 1.2
-    speed_scale: float = 1.0
-    """Of the speed that is asked for, what the arm is told: in (0, 1], small on the first runs of a new workcell."""
     max_contact_force_n: float = 40.0
     """The most that lowering may press before it stops."""
     max_grasp_force_n: float = 30.0
@@ -79,18 +77,18 @@ class GuardedArm:
         """`Arm.move_to`, if target, way and speed are allowed."""
         self.check(target)
         self._check_way(target)
-        speed = self._allowed_speed(speed_m_s)
+        self._check_speed(speed_m_s)
         with self._stop_when_interrupted():
-            return self._arm.move_to(target, speed)
+            return self._arm.move_to(target, speed_m_s)
 
     def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
         """`Arm.lower_until_contact`, if height, speed and force are allowed."""
         here = self._arm.pose()
         self.check(ToolPose(here.x, here.y, z_min, here.yaw))
-        speed = self._allowed_speed(speed_m_s)
+        self._check_speed(speed_m_s)
         self._check_at_most("contact force", force_n, self.limits.max_contact_force_n, "N")
         with self._stop_when_interrupted():
-            return self._arm.lower_until_contact(z_min, speed, force_n)
+            return self._arm.lower_until_contact(z_min, speed_m_s, force_n)
 
     def move_gripper(self, width_m: float) -> float:
         """`Arm.move_gripper`, if the gripper opens that wide."""
@@ -153,12 +151,10 @@ class GuardedArm:
             self._arm.stop()
             raise
 
-    def _allowed_speed(self, speed_m_s: float) -> float:
-        """What the arm is told where this speed is asked for. Raises `LimitError` where that is too fast."""
+    def _check_speed(self, speed_m_s: float) -> None:
         self._check_at_most(
             "speed", speed_m_s, min(self.limits.max_speed_m_s, self.info.max_speed_m_s), "m/s"
         )
-        return self.limits.speed_scale * speed_m_s
 
     @staticmethod
     def _check_at_most(name: str, value: float, highest: float, unit: str) -> None:
