@@ -254,7 +254,7 @@ def test_the_environment_is_gymnasiums() -> None:
 
 def test_every_task_has_its_environment() -> None:
     named = {
-        spec.kwargs["task"] for spec in gymnasium.registry.values() if "envs_blocks" in str(spec.entry_point)
+        spec.kwargs["task"] for spec in gymnasium.registry.values() if "envs.blocks" in str(spec.entry_point)
     }
     assert named == set(TASKS)
 

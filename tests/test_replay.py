@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -72,15 +70,7 @@ def test_an_empty_recording_is_refused(recording: Dataset) -> None:
 
 def test_a_workcell_file_may_name_a_recording(recording: Dataset) -> None:
     path = recording.root.parent / "cell.yaml"
-    path.write_text("arm: replay\nrecording: recording\nworkspace:\n  x: [0.3, 0.6]\n")
+    path.write_text("arm:\n  kind: replay\n  recording: recording\nworkspace:\n  x: [0.3, 0.6]\n")
     cell = open_workcell(path)
     assert cell.settings.workspace == Rectangle(0.3, 0.6, -0.3, 0.3)
     np.testing.assert_array_equal(cell.look().color, recording[0].before.color)
-
-
-@pytest.mark.parametrize("text", ["arm: replay\n", "recording: somewhere\n"])
-def test_a_recording_and_its_arm_go_together(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "cell.yaml"
-    path.write_text(text)
-    with pytest.raises(BaggieError, match="go together"):
-        open_workcell(path)

@@ -14,9 +14,9 @@ from baggie.sim.kinematics import Kinematics, quintic
 from baggie.sim.scene import HOME, arm_spec
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import PickPlace
+from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
-from workcell_contract import check_arm
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def cell() -> Iterator[SimulatedWorkcell]:
 
 def test_the_simulated_arm_keeps_the_contract(cell: SimulatedWorkcell) -> None:
     cell.reset((1,))
-    check_arm(cell)
+    check_arm(cell.arm)
 
 
 def test_the_simulated_camera_keeps_the_contract(cell: SimulatedWorkcell) -> None:

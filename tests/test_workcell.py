@@ -1,22 +1,26 @@
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import baggie
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace, Plan
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.camera import Camera
-from baggie.workcell.config import open_workcell, read_workcell_file
+from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.workcell import Workcell, WorkcellSettings
+from baggie.workcell.workcell_file import FrankaEntry, read_workcell_file
 
 SETTINGS = WorkcellSettings()
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -31,6 +35,7 @@ class RecordingArm:
         self.at = ToolPose(0.4, 0.0, 0.4)
         self.width, self._held, self._floor = 0.08, width, floor_z
         self.poses: list[ToolPose] = []
+        self.speeds: list[float] = []
         self.log: list[str] = []
 
     def pose(self) -> ToolPose:
@@ -39,6 +44,7 @@ class RecordingArm:
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         self.at = target
         self.poses.append(target)
+        self.speeds.append(speed_m_s)
         self.log.append(f"move {target.z:.3f}")
         return target
 
@@ -78,20 +84,52 @@ def guarded() -> tuple[GuardedArm, RecordingArm]:
     return GuardedArm(arm, SETTINGS.limits), arm
 
 
-@given(st.lists(st.tuples(anything, anything, anything, anything, anything), max_size=10))
-def test_no_motion_however_wild_gets_past_the_gate(motions: list[tuple[float, ...]]) -> None:
-    gate, arm = guarded()
-    limits = SETTINGS.limits
-    for x, y, z, yaw, speed in motions:
+wild = st.builds(ToolPose, anything, anything, anything, anything)
+near = st.builds(
+    ToolPose, *[st.floats(low, high) for low, high in ((0.1, 0.8), (-0.6, 0.6), (0, 0.8), (-4, 4))]
+)
+
+
+@given(st.lists(st.tuples(st.one_of(wild, near), st.one_of(anything, st.floats(0.1, 1.0))), max_size=20))
+def test_no_motion_however_wild_gets_past_the_gate(motions: list[tuple[ToolPose, float]]) -> None:
+    limits = replace(SETTINGS.limits, max_step_m=0.5)
+    arm = RecordingArm()
+    gate = GuardedArm(arm, limits)
+    for target, speed in motions:
         try:
-            gate.move_to(ToolPose(x, y, z, yaw), speed)
+            gate.move_to(target, speed)
         except LimitError:
             continue
-    for pose in arm.poses:
-        assert limits.z_min_m - 1e-6 <= pose.z <= limits.z_max_m
-        area = limits.workspace if pose.z < limits.clearance_z_m else limits.reach
-        assert area.contains(pose.x, pose.y)
-        assert math.isfinite(pose.yaw)
+    assert all(0 < speed <= limits.max_speed_m_s for speed in arm.speeds)
+    for start, end in pairwise([RecordingArm().at, *arm.poses]):
+        assert math.isfinite(end.yaw)
+        assert np.linalg.norm(end.xyz - start.xyz) <= 0.5 + 1e-9
+        for x, y, z in np.linspace(start.xyz, end.xyz, 20):
+            assert limits.z_min_m - 1e-6 <= z <= limits.z_max_m
+            area = limits.workspace if z < limits.clearance_z_m - 1e-6 else limits.reach
+            assert area.contains(x, y, margin=-1e-6)
+
+
+def test_an_arm_that_stands_low_outside_may_only_rise() -> None:
+    gate, arm = guarded()
+    arm.at = ToolPose(0.2, 0.0, 0.05)
+    with pytest.raises(LimitError, match="raise the arm first"):
+        gate.move_to(ToolPose(0.4, 0.0, 0.2), 0.2)
+    gate.move_to(replace(arm.at, z=0.2), 0.2)
+    gate.move_to(ToolPose(0.4, 0.0, 0.2), 0.2)
+    assert len(arm.poses) == 2
+
+
+@pytest.mark.parametrize("what", [KeyboardInterrupt, RuntimeError])
+def test_whatever_interrupts_a_motion_stops_the_arm_first(what: type[BaseException]) -> None:
+    class Interrupted(RecordingArm):
+        def grasp(self, force_n: float) -> float:
+            raise what
+
+    arm = Interrupted()
+    with pytest.raises(what):
+        GuardedArm(arm, SETTINGS.limits).grasp(5.0)
+    assert arm.log == ["stop"]
 
 
 @given(anything, anything, anything)
@@ -218,6 +256,35 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
     assert (written.cell, written.workspace.x, written.bag.mass_kg) == (3, (0.4, 0.6), 0.15)
 
 
+FRANKA = "arm:\n  kind: franka\n  host: 192.0.2.1\n"
+
+
+def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"{FRANKA}  model: panda\ncamera: 0\n")
+    arm = read_workcell_file(path).arm
+    assert isinstance(arm, FrankaEntry)
+    assert (arm.host, arm.model) == ("192.0.2.1", "panda")
+    assert arm.speed <= 0.1, "slow, until somebody has watched it"
+
+
+def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> None:
+    pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+    video = tmp_path / "table.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    (tmp_path / "cell.yaml").write_text(f"{FRANKA}camera: {video}\nworkspace:\n  x: [0.4, 0.5]\n")
+    cell = baggie.open_workcell(tmp_path / "cell.yaml")
+    try:
+        assert cell.arm.info.name == "FR3 at 192.0.2.1"
+        assert cell.camera.look().size == (64, 48)
+        with pytest.raises(LimitError):
+            cell.execute(PickPlace(PlanarPose(0.45, 0.0), PlanarPose(0.9, 0.0)))
+    finally:
+        cell.close()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -228,12 +295,20 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
             r"cell\.yaml, line 1: lens: there is no such entry; take it out, or give one of arm, ",
         ),
         (
-            "cell: 3\ncamera:\n  kind: usb\n",
-            r"line 3: camera\.kind: .*'realsense', 'orbbec' or 'k4a', got 'usb'",
+            f"{FRANKA}camera:\n  kind: usb\n",
+            r"line 5: camera\.kind: .*'realsense', 'orbbec' or 'k4a', got 'usb'",
         ),
         ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
         ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),
-        ("camera: 0\n", r"line 1: camera: .*, got 0; change it"),
+        ("camera: {}\narm: true\n", r"line 2: arm: .*, got True; change it"),
+        ("cell: 1\narm: ur5\n", r"line 2: arm: .*'ur5' .* 'sim', 'replay', 'franka'"),
+        ("arm: replay\n", r"line 1: arm\.recording: Field required"),
+        (f"{FRANKA}  port: 2\n", r"line 4: arm\.port: .* give one of kind, host, model, speed, realtime"),
+        ("arm:\n  kind: franka\ncamera: 0\n", r"line 1: arm\.host: Field required"),
+        (f"{FRANKA}  speed: 2\n", r"line 4: arm\.speed: .*less than or equal to 1, got 2"),
+        (f"{FRANKA}  model: ur5\n", r"line 4: arm\.model: .*'fr3' or 'panda', got 'ur5'"),
+        (FRANKA, r"a real arm needs a real camera; write `camera: 0`"),
+        ("camera: 0\n", r"the arm 'sim' sees with a camera of its own; leave `camera` out"),
         ("cell: [", "is no YAML"),
     ],
 )
@@ -244,11 +319,12 @@ def test_a_wrong_workcell_file_names_the_entry(tmp_path: Path, text: str, messag
         read_workcell_file(path)
 
 
-def test_the_simulated_arm_brings_its_own_camera(tmp_path: Path) -> None:
+def test_a_camera_in_few_words(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
-    path.write_text("camera:\n  source: '0'\n")
-    with pytest.raises(BaggieError, match="a camera of its own; take camera out"):
-        open_workcell(path)
+    path.write_text(f"{FRANKA}camera: 2\n")
+    assert read_workcell_file(path).camera == CameraSettings(source="2")
+    path.write_text(f"{FRANKA}camera: realsense:1234\n")
+    assert read_workcell_file(path).camera == CameraSettings(kind="realsense", source="1234")
 
 
 def test_a_missing_workcell_file_says_what_to_give() -> None:

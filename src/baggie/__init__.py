@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Policy", "load_policy", "open_dataset", "open_workcell"]
 
-gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
+gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs.bag_place:BagPlaceEnv", max_episode_steps=3)
 for _name, _task in (
     ("BlockPyramid", "block-pyramid"),
     ("PlaceRedInGreen", "place-red-in-green"),
     ("AlignBoxCorner", "align-box-corner"),
 ):
     gymnasium.register(
-        f"baggie/{_name}-v0", entry_point="baggie.envs_blocks:BlockEnv", kwargs={"task": _task}
+        f"baggie/{_name}-v0", entry_point="baggie.envs.blocks:BlockEnv", kwargs={"task": _task}
     )
 
 # PyTorch, MuJoCo and pyarrow take seconds to import: each is loaded when it is first needed.

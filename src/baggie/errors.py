@@ -13,6 +13,10 @@ class ReachError(BaggieError):
     """The arm cannot reach a pose, or did not get there."""
 
 
+class ArmError(BaggieError):
+    """The arm does not do what it is told: not found, link lost, stopped, or in an error that needs a person."""
+
+
 class CameraError(BaggieError):
     """The camera gave no (fresh) picture."""
 

@@ -169,6 +169,13 @@ def hand_matrix(pose: ToolPose) -> FloatArray:
     return rigid([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]], pose.xyz)
 
 
+def tool_pose(T_base_hand: ArrayLike) -> ToolPose:
+    """The inverse of `hand_matrix`: `(4, 4)` -> where the tool is and its yaw; a tilt is left out."""
+    t = np.asarray(T_base_hand, float)
+    x, y, z = (float(value) for value in t[:3, 3])
+    return ToolPose(x, y, z, math.atan2(t[1, 0], t[0, 0]))
+
+
 def from_vector(vector: ArrayLike) -> FloatArray:
     """`(6,)`, a rotation vector (radians) and then a translation -> `(4, 4)`."""
     vector = np.asarray(vector, float).reshape(6)

@@ -7,7 +7,15 @@ import mujoco
 import numpy as np
 
 from baggie.errors import ReachError
-from baggie.geometry import FloatArray, ToolPose, from_vector, hand_matrix, invert_transform, to_vector
+from baggie.geometry import (
+    FloatArray,
+    ToolPose,
+    from_vector,
+    hand_matrix,
+    invert_transform,
+    to_vector,
+    tool_pose,
+)
 
 CONTROL_PERIOD_S = 0.02
 ARM_JOINTS = 7
@@ -29,9 +37,7 @@ class Kinematics:
 
     def tool_pose(self, q: FloatArray) -> ToolPose:
         """Forward kinematics."""
-        transform = self.hand_pose(q)
-        (x, y, z), x_axis = transform[:3, 3], transform[:3, 0]
-        return ToolPose(float(x), float(y), float(z), float(np.arctan2(x_axis[1], x_axis[0])))
+        return tool_pose(self.hand_pose(q))
 
     def hand_pose(self, q: FloatArray) -> FloatArray:
         """`T_base_hand` `(4, 4)` by forward kinematics, tilted or not; the hand's frame is that of `hand_matrix`."""

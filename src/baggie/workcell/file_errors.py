@@ -10,42 +10,55 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 Place = tuple[int | str, ...]
-"""The way to an entry, as pydantic names it."""
+"""The way to an entry, as pydantic names it: the kind of a section that comes in several is a part of it."""
 
 
 def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel]) -> str:
     """The first error in `text`, which `path` contains and `model` refused, as one line."""
     first = error.errors()[0]
-    place = first["loc"]
-    entry = ".".join(str(part) for part in place) or "the file"
-    where = f"{path}, line {_line(text, place)}: {entry}"
-    if first["type"] != "extra_forbidden":
-        return f"{where}: {first['msg']}, got {first['input']!r}; change it"
-    known = ", ".join(_section(model, place[:-1]).model_fields)
-    return f"{where}: there is no such entry; take it out, or give one of {known}"
+    line, entry = _find(text, first["loc"])
+    where = f"{path}, line {line}: {entry}"
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(_section(model, first["loc"][:-1]).model_fields)
+        return f"{where}: there is no such entry; take it out, or give one of {known}"
+    wrong = first["msg"].removeprefix("Value error, ")
+    if first["type"] in {"missing", "value_error"}:  # what came is the whole section
+        return f"{where}: {wrong}"
+    return f"{where}: {wrong}, got {first['input']!r}; change it"
 
 
-def _line(text: str, place: Place) -> int:
-    """Where an entry stands, from 1; of one that is missing, where it should be."""
+def _find(text: str, place: Place) -> tuple[int, str]:
+    """Where an entry stands, from line 1, and what a person calls it; of one that is missing, where it should be."""
     node = yaml.compose(text)
-    line = 1
-    for part in place:
+    line, names = 1, []
+    for position, part in enumerate(place):
+        entry = None
         if isinstance(node, yaml.MappingNode):
-            found = [(key, value) for key, value in node.value if key.value == str(part)]
-            if not found:
-                break
-            key, node = found[0]
-            line = key.start_mark.line + 1
+            entry = next(((key, value) for key, value in node.value if key.value == str(part)), None)
         elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
-            node = node.value[part]
-            line = node.start_mark.line + 1
-    return line
+            entry = node.value[part], node.value[part]
+        if entry is not None:
+            line, node = entry[0].start_mark.line + 1, entry[1]
+        if entry is not None or position == len(place) - 1:
+            names.append(str(part))
+    return line, ".".join(names) or "the file"
 
 
 def _section(model: type[BaseModel], place: Place) -> type[BaseModel]:
+    """The model of the section at a place."""
+    kinds = [model]
     for part in place:
-        kinds = model.model_fields[str(part)].annotation if part in model.model_fields else None
-        for kind in (kinds, *get_args(kinds)):
-            if inspect.isclass(kind) and issubclass(kind, BaseModel):
-                model = kind
-    return model
+        of_kind = [each for each in kinds if str(part) in get_args(_annotation(each, "kind"))]
+        kinds = of_kind or [found for each in kinds for found in _models(_annotation(each, str(part)))]
+    return kinds[0]
+
+
+def _annotation(model: type[BaseModel], field: str) -> object:
+    return model.model_fields[field].annotation if field in model.model_fields else None
+
+
+def _models(annotation: object) -> list[type[BaseModel]]:
+    """All models in an annotation, however deep in alternatives."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]

@@ -1,13 +1,20 @@
-"""The one gate every motion passes: workspace, height, speed, force and squeeze, checked before the arm is told."""
+"""The one gate every motion passes: where to, which way, how far, fast and hard; checked before the arm is told."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from baggie.errors import LimitError
+import numpy as np
+
+from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
 from baggie.workcell.arm import Arm, ArmInfo, hand_pose
+
+_STRAIGHT_M = 0.005
+"""A motion that leads less far aside than this is straight up or down."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +29,8 @@ class Limits:
     """The lowest the tool may go: 12 mm keep a Franka hand's fingertips off the table."""
     z_max_m: float = 0.70
     clearance_z_m: float = 0.12
+    max_step_m: float = 1.2
+    """The farthest one motion may lead: further is taken for a mistake."""
     max_speed_m_s: float = 1.2
     max_contact_force_n: float = 40.0
     """The most that lowering may press before it stops."""
@@ -29,7 +38,10 @@ class Limits:
 
 
 class GuardedArm:
-    """An arm behind the gate. Raises `LimitError` for whatever the limits forbid; then nothing was sent."""
+    """An arm behind the gate. Raises `LimitError` for whatever the limits forbid; then nothing was sent.
+
+    Whatever interrupts a motion, Ctrl-C too, stops the arm first. Then it is passed on.
+    """
 
     def __init__(self, arm: Arm, limits: Limits) -> None:
         self._arm = arm
@@ -62,10 +74,12 @@ class GuardedArm:
         return hand_pose(self._arm)
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
-        """`Arm.move_to`, if target and speed are allowed."""
+        """`Arm.move_to`, if target, way and speed are allowed."""
         self.check(target)
+        self._check_way(target)
         self._check_speed(speed_m_s)
-        return self._arm.move_to(target, speed_m_s)
+        with self._stop_when_interrupted():
+            return self._arm.move_to(target, speed_m_s)
 
     def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
         """`Arm.lower_until_contact`, if height, speed and force are allowed."""
@@ -73,7 +87,8 @@ class GuardedArm:
         self.check(ToolPose(here.x, here.y, z_min, here.yaw))
         self._check_speed(speed_m_s)
         self._check_at_most("contact force", force_n, self.limits.max_contact_force_n, "N")
-        return self._arm.lower_until_contact(z_min, speed_m_s, force_n)
+        with self._stop_when_interrupted():
+            return self._arm.lower_until_contact(z_min, speed_m_s, force_n)
 
     def move_gripper(self, width_m: float) -> float:
         """`Arm.move_gripper`, if the gripper opens that wide."""
@@ -81,14 +96,16 @@ class GuardedArm:
             raise LimitError(
                 f"gripper width {width_m:.3f} m is outside 0..{self.info.max_width_m:.3f} m; nothing was moved"
             )
-        return self._arm.move_gripper(width_m)
+        with self._stop_when_interrupted():
+            return self._arm.move_gripper(width_m)
 
     def grasp(self, force_n: float) -> float:
         """`Arm.grasp`, if the gripper may squeeze that hard."""
         self._check_at_most(
             "grasp force", force_n, min(self.limits.max_grasp_force_n, self.info.max_force_n), "N"
         )
-        return self._arm.grasp(force_n)
+        with self._stop_when_interrupted():
+            return self._arm.grasp(force_n)
 
     def gripper_width(self) -> float:
         """Metres between the fingers now."""
@@ -96,11 +113,43 @@ class GuardedArm:
 
     def park(self) -> ToolPose:
         """Move out of the camera's view. The parking pose is part of the arm's set-up, not a command."""
-        return self._arm.park()
+        with self._stop_when_interrupted():
+            return self._arm.park()
 
     def stop(self) -> None:
         """Stop moving, now."""
         self._arm.stop()
+
+    def _check_way(self, target: ToolPose) -> None:
+        """Raise `LimitError` unless the straight line from here is short enough, and low only inside the workspace."""
+        here, limits = self._arm.pose(), self.limits
+        step = float(np.linalg.norm(target.xyz - here.xyz))
+        if step > limits.max_step_m:
+            raise LimitError(
+                f"a motion of {step:.2f} m from here is longer than {limits.max_step_m:.2f} m; nothing was moved"
+            )
+        low, high = sorted((here, target), key=lambda pose: pose.z)
+        aside = math.hypot(target.x - here.x, target.y - here.y)
+        if low.z >= limits.clearance_z_m or (low is here and aside <= _STRAIGHT_M):
+            return  # all of it is high, or it leads straight up, which is how to get out of anywhere
+        # The workspace is convex: the low part of the line is in it where both of its ends are.
+        share = 1.0 if high.z <= limits.clearance_z_m else (limits.clearance_z_m - low.z) / (high.z - low.z)
+        for x, y in ((low.x, low.y), (low.x + share * (high.x - low.x), low.y + share * (high.y - low.y))):
+            if not limits.workspace.contains(x, y):
+                raise LimitError(
+                    f"on its way to {target} the tool would be lower than {limits.clearance_z_m:.3f} m at x {x:.3f}, "
+                    f"y {y:.3f} m, outside the workspace ({limits.workspace}); nothing was moved: raise the arm first"
+                )
+
+    @contextmanager
+    def _stop_when_interrupted(self) -> Iterator[None]:
+        try:
+            yield
+        except ReachError:  # nothing moves
+            raise
+        except BaseException:
+            self._arm.stop()
+            raise
 
     def _check_speed(self, speed_m_s: float) -> None:
         self._check_at_most(

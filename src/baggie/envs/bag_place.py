@@ -1,4 +1,4 @@
-"""Gymnasium environments: one step is one whole pick and place."""
+"""The bean bag as a Gymnasium environment."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from baggie.errors import LimitError, ReachError
+from baggie.envs.step import ObservationDict, action_space, execute
 from baggie.geometry import PlanarPose
-from baggie.types import Goal, PickPlace
+from baggie.types import Goal
 
 if TYPE_CHECKING:
     from baggie.types import Image
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 PICTURE_SIZE = (640, 360)
 SUCCESS_RADIUS_M = 0.02
 MIN_CARRY_M = 0.20
-
-ObservationDict = dict[str, Any]
 
 
 class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
@@ -43,10 +41,7 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         self.render_mode = render_mode
         self._workcell: SimulatedWorkcell = open_simulated(cell)
         width, height = PICTURE_SIZE
-        area = self._workcell.settings.workspace
-        low = np.array([area.x_min, area.y_min, -np.pi] * 2, np.float32)
-        high = np.array([area.x_max, area.y_max, np.pi] * 2, np.float32)
-        self.action_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = action_space(self._workcell.settings.workspace)
         self.observation_space = spaces.Dict(
             {
                 "color": spaces.Box(0, 255, (height, width, 3), np.uint8),
@@ -70,11 +65,7 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
         """Execute one pick and place."""
-        info: dict[str, Any] = {}
-        try:
-            info["outcome"] = self._workcell.execute(PickPlace.from_array(np.asarray(action, float)))
-        except (LimitError, ReachError) as error:
-            info["refused"] = str(error)
+        info = execute(self._workcell, action)
         observation = self._observe()
         distance = self._workcell.truth().distance(self._goal)
         info["distance_m"] = distance

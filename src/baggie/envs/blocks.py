@@ -1,4 +1,4 @@
-"""Gymnasium environments of the tasks with blocks: one step is one whole pick and place."""
+"""The tasks with blocks as Gymnasium environments."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from baggie.errors import LimitError, ReachError
+from baggie.envs.step import ObservationDict, action_space, execute
 from baggie.grid import Grid
-from baggie.types import PickPlace
 
 if TYPE_CHECKING:
     from baggie.types import Image
     from baggie.workcell.block_workcell import BlockWorkcell
-
-ObservationDict = dict[str, Any]
 
 
 class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
@@ -40,10 +37,8 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
 
         self.render_mode = render_mode
         self._workcell: BlockWorkcell = open_block_workcell(task, cell)
-        area, grid = self._workcell.settings.workspace, Grid()
-        low = np.array([area.x_min, area.y_min, -np.pi] * 2, np.float32)
-        high = np.array([area.x_max, area.y_max, np.pi] * 2, np.float32)
-        self.action_space = spaces.Box(low, high, dtype=np.float32)
+        grid = Grid()
+        self.action_space = action_space(self._workcell.settings.workspace)
         self.observation_space = spaces.Dict(
             {
                 "color": spaces.Box(0, 255, (*grid.shape, 3), np.uint8),
@@ -62,11 +57,7 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
         """Execute one pick and place."""
-        happened: dict[str, Any] = {}
-        try:
-            happened["outcome"] = self._workcell.execute(PickPlace.from_array(np.asarray(action, float)))
-        except (LimitError, ReachError) as error:
-            happened["refused"] = str(error)
+        happened = execute(self._workcell, action)
         observation = self._observe()
         reward = self._workcell.count()
         self._steps += 1

@@ -1,0 +1,1 @@
+"""Gymnasium environments: one step is one whole pick and place."""

@@ -1,0 +1,125 @@
+"""What a person writes down about a workcell, in YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from baggie.errors import BaggieError
+from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.file_errors import explain
+from baggie.workcell.franka_models import ModelName
+from baggie.workcell.workcell import WorkcellSettings
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SimulatedEntry(_Section):
+    """`arm: sim` for short."""
+
+    kind: Literal["sim"] = "sim"
+
+
+class ReplayEntry(_Section):
+    """No arm: a recording is shown."""
+
+    kind: Literal["replay"]
+    recording: Path
+    """Its folder, from the workcell file's own."""
+
+
+class FrankaEntry(_Section):
+    """A real arm, or one behind the same protocol."""
+
+    kind: Literal["franka"]
+    host: str = Field(min_length=1)
+    """The address of its control box."""
+    model: ModelName = "fr3"
+    speed: float = Field(0.1, gt=0, le=1)
+    """The share of every speed that it really goes at: as slow as this until a person has watched it work."""
+    realtime: bool = True
+    """Whether to refuse to move it from a computer without a real-time kernel."""
+
+
+def _kind_alone(entry: Any) -> Any:
+    return {"kind": entry} if isinstance(entry, str) else entry
+
+
+def _words_alone(entry: Any) -> Any:
+    short = isinstance(entry, (str, int)) and not isinstance(entry, bool)
+    return CameraSettings.from_words(str(entry)) if short else entry
+
+
+ArmEntry = Annotated[
+    Annotated[SimulatedEntry | ReplayEntry | FrankaEntry, Field(discriminator="kind")],
+    BeforeValidator(_kind_alone),
+]
+CameraEntry = Annotated[CameraSettings, BeforeValidator(_words_alone)]
+
+
+class Bounds(_Section):
+    """The workspace, metres in the robot's base frame."""
+
+    x: tuple[float, float] = (0.35, 0.65)
+    y: tuple[float, float] = (-0.30, 0.30)
+
+
+class Bag(_Section):
+    """The bag: in a simulated cell all of it, for a real one its size and colour."""
+
+    length_m: float = Field(0.12, gt=0.06, lt=0.2)
+    width_m: float = Field(0.12, gt=0.06, lt=0.2)
+    mass_kg: float = Field(0.2, gt=0.02, lt=1.0)
+    color: tuple[int, int, int] = (196, 40, 44)
+
+
+class CalibrationFiles(_Section):
+    """Where the calibrations are, from the workcell file's own folder. Each is refused for another camera."""
+
+    intrinsics: Path | None = None
+    image_to_robot: Path | None = None
+    camera_to_robot: Path | None = None
+    """Of `robot-to-world --camera-to-world`, or of `hand-eye` with a fixed camera."""
+
+
+class WorkcellFile(_Section):
+    """The whole file."""
+
+    arm: ArmEntry = SimulatedEntry()
+    camera: CameraEntry | None = None
+    """Of a real arm, and of no other: a number, a device, an address or a kind, or a section."""
+    cell: int = Field(0, ge=0)
+    """Of a simulated workcell."""
+    workspace: Bounds = Bounds()
+    bag: Bag = Bag()
+    calibrations: CalibrationFiles = CalibrationFiles()
+    sure_within_m: float = Field(WorkcellSettings().sure_within_m, gt=0)
+    """A person is asked when a plan's pick or place is not known within this, nine times of ten."""
+
+    @model_validator(mode="after")
+    def _real_arms_need_real_cameras(self) -> WorkcellFile:
+        if isinstance(self.arm, FrankaEntry) and self.camera is None:
+            raise ValueError("a real arm needs a real camera; write `camera: 0`, or its device or address")
+        if not isinstance(self.arm, FrankaEntry) and self.camera is not None:
+            raise ValueError(f"the arm {self.arm.kind!r} sees with a camera of its own; leave `camera` out")
+        return self
+
+
+def read_workcell_file(path: Path) -> WorkcellFile:
+    """Read and check a workcell file. Raises `BaggieError` with the line and entry that is wrong and what it may be."""
+    try:
+        text = path.read_text()
+        return WorkcellFile.model_validate(yaml.safe_load(text) or {})
+    except OSError as error:
+        raise BaggieError(
+            f"no workcell file {path} ({error.strerror}); give a YAML file, or 'sim' for the simulated workcell"
+        ) from None
+    except yaml.YAMLError as error:
+        raise BaggieError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+    except ValidationError as error:
+        raise BaggieError(explain(path, text, error, WorkcellFile)) from None
