@@ -11,7 +11,7 @@ FLOORS = [
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
     {"collect", "commissioning", "learning", "evaluation"},
-    {"cli", "cli_calibrate", "cli_output", "envs", "__main__", "__init__"},
+    {"cli", "cli_calibrate", "cli_output", "cli_workcell", "envs", "__main__", "__init__"},
 ]
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 

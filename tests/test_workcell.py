@@ -309,6 +309,16 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         (f"{FRANKA}  model: ur5\n", r"line 4: arm\.model: .*'fr3' or 'panda', got 'ur5'"),
         (FRANKA, r"a real arm needs a real camera; write `camera: 0`"),
         ("camera: 0\n", r"the arm 'sim' sees with a camera of its own; leave `camera` out"),
+        ("workspace:\n  y: [0.3, -0.3]\n", r"line 2: workspace\.y: expected the lower bound first"),
+        ("handling:\n  grip_n: 3\n", r"line 2: handling\.grip_n: .* give one of travel_z_m, .*grasp_force_n"),
+        (
+            "limits:\n  max_speed_m_s: 0.5\n",
+            r"handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
+        ),
+        (
+            "limits:\n  z_min_m: 0.02\n",
+            r"pick_z_m and place_z_m are 0\.014 and 0\.024, .* no less than 0\.02",
+        ),
         ("cell: [", "is no YAML"),
     ],
 )

@@ -10,8 +10,10 @@ import tyro
 
 from baggie.cli_calibrate import calibrate
 from baggie.cli_output import show
+from baggie.cli_workcell import workcell
 from baggie.collect import CollectOptions
 from baggie.collect import collect as run_collect
+from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
 from baggie.data.ravens_convert import ImportOptions
@@ -138,6 +140,20 @@ def export(options: ExportOptions, json: bool = False) -> None:
     show(run_export(options), json)
 
 
+def doctor(options: DoctorOptions, json: bool = False) -> None:
+    """Check a workcell: camera, light, arm, calibrations; then, with leave, move slowly and touch the table.
+
+    Example: baggie doctor cell.yaml
+
+    Args:
+        options: Which workcell, and whether it may move.
+        json: Print the findings as one JSON object.
+    """
+    findings = examine(options)
+    if json:
+        show(findings, json)
+
+
 def print_target(options: PrintOptions, json: bool = False) -> None:
     """Make a marker, a board or a goal card as a PDF at true size.
 
@@ -161,6 +177,8 @@ VERBS: dict[str, Callable[..., None]] = {
         evaluate,
         report,
         export,
+        workcell,
+        doctor,
         calibrate,
         print_target,
     )

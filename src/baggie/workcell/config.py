@@ -29,6 +29,9 @@ from baggie.workcell.workcell_file import (
     read_workcell_file,
 )
 
+_STRAY_M = 0.08
+"""So far beyond the workspace the hand may stray after an object at its edge."""
+
 
 def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
     """The workcell a YAML file describes, or `"sim"` for the simulated one with the number `cell`.
@@ -58,11 +61,16 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         mass_kg=written.bag.mass_kg,
         color=written.bag.color,
     )
-    defaults = WorkcellSettings()
+    defaults, bounds = WorkcellSettings(), written.workspace
+    gate = Rectangle(
+        bounds.x[0] - _STRAY_M, bounds.x[1] + _STRAY_M, bounds.y[0] - _STRAY_M, bounds.y[1] + _STRAY_M
+    )
     settings = replace(
         defaults,
         name=path.stem,
-        workspace=Rectangle(*written.workspace.x, *written.workspace.y),
+        workspace=Rectangle(*bounds.x, *bounds.y),
+        limits=replace(defaults.limits, workspace=gate, **written.limits.model_dump()),
+        handling=written.handling,
         object_color=bag.color,
         object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
         object_symmetry=bag.symmetry,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import get_args
 
@@ -18,8 +19,8 @@ def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel
     first = error.errors()[0]
     line, entry = _find(text, first["loc"])
     where = f"{path}, line {line}: {entry}"
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(_section(model, first["loc"][:-1]).model_fields)
+    if first["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
+        known = ", ".join(_entries(_section(model, first["loc"][:-1])))
         return f"{where}: there is no such entry; take it out, or give one of {known}"
     wrong = first["msg"].removeprefix("Value error, ")
     if first["type"] in {"missing", "value_error"}:  # what came is the whole section
@@ -44,8 +45,8 @@ def _find(text: str, place: Place) -> tuple[int, str]:
     return line, ".".join(names) or "the file"
 
 
-def _section(model: type[BaseModel], place: Place) -> type[BaseModel]:
-    """The model of the section at a place."""
+def _section(model: type, place: Place) -> type:
+    """The model of the section at a place; a dataclass, perhaps."""
     kinds = [model]
     for part in place:
         of_kind = [each for each in kinds if str(part) in get_args(_annotation(each, "kind"))]
@@ -53,12 +54,17 @@ def _section(model: type[BaseModel], place: Place) -> type[BaseModel]:
     return kinds[0]
 
 
-def _annotation(model: type[BaseModel], field: str) -> object:
-    return model.model_fields[field].annotation if field in model.model_fields else None
+def _entries(model: type) -> list[str]:
+    return [*model.model_fields] if issubclass(model, BaseModel) else [*inspect.signature(model).parameters]
 
 
-def _models(annotation: object) -> list[type[BaseModel]]:
+def _annotation(model: type, field: str) -> object:
+    known = model.model_fields if issubclass(model, BaseModel) else {}
+    return known[field].annotation if field in known else None
+
+
+def _models(annotation: object) -> list[type]:
     """All models in an annotation, however deep in alternatives."""
-    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+    if inspect.isclass(annotation) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]

@@ -6,13 +6,24 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from baggie.errors import BaggieError
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.file_errors import explain
 from baggie.workcell.franka_models import ModelName
+from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell import WorkcellSettings
+
+_LIMITS = WorkcellSettings().limits
 
 
 class _Section(BaseModel):
@@ -68,6 +79,25 @@ class Bounds(_Section):
     x: tuple[float, float] = (0.35, 0.65)
     y: tuple[float, float] = (-0.30, 0.30)
 
+    @field_validator("x", "y")
+    @classmethod
+    def _from_low_to_high(cls, bounds: tuple[float, float]) -> tuple[float, float]:
+        if not bounds[0] < bounds[1]:
+            raise ValueError(f"expected the lower bound first, got {bounds[0]:g} and {bounds[1]:g}")
+        return bounds
+
+
+class LimitsEntry(_Section):
+    """What the gate lets through; see `Limits`."""
+
+    z_min_m: float = Field(_LIMITS.z_min_m, ge=0)
+    z_max_m: float = Field(_LIMITS.z_max_m, gt=0)
+    clearance_z_m: float = Field(_LIMITS.clearance_z_m, gt=0)
+    max_step_m: float = Field(_LIMITS.max_step_m, gt=0)
+    max_speed_m_s: float = Field(_LIMITS.max_speed_m_s, gt=0)
+    max_contact_force_n: float = Field(_LIMITS.max_contact_force_n, gt=0)
+    max_grasp_force_n: float = Field(_LIMITS.max_grasp_force_n, gt=0)
+
 
 class Bag(_Section):
     """The bag: in a simulated cell all of it, for a real one its size and colour."""
@@ -96,10 +126,36 @@ class WorkcellFile(_Section):
     cell: int = Field(0, ge=0)
     """Of a simulated workcell."""
     workspace: Bounds = Bounds()
+    limits: LimitsEntry = LimitsEntry()
+    handling: Handling = Handling()
+    """Heights, forces and speeds of pick and place."""
     bag: Bag = Bag()
     calibrations: CalibrationFiles = CalibrationFiles()
     sure_within_m: float = Field(WorkcellSettings().sure_within_m, gt=0)
     """A person is asked when a plan's pick or place is not known within this, nine times of ten."""
+
+    @model_validator(mode="after")
+    def _handled_within_limits(self) -> WorkcellFile:
+        limits, handling = self.limits, self.handling
+        for name, highest in (
+            ("fast_m_s", limits.max_speed_m_s),
+            ("feel_m_s", limits.max_speed_m_s),
+            ("carry_m_s", limits.max_speed_m_s),
+            ("touch_force_n", limits.max_contact_force_n),
+            ("land_force_n", limits.max_contact_force_n),
+            ("grasp_force_n", limits.max_grasp_force_n),
+        ):
+            value = getattr(handling, name)
+            if not 0 < value <= highest:
+                raise ValueError(
+                    f"handling.{name} is {value:g}, the limits allow up to {highest:g}; lower it"
+                )
+        if min(handling.pick_z_m, handling.place_z_m) < limits.z_min_m:
+            raise ValueError(
+                f"handling.pick_z_m and place_z_m are {handling.pick_z_m:g} and {handling.place_z_m:g}, the limits "
+                f"allow no less than {limits.z_min_m:g}; raise them"
+            )
+        return self
 
     @model_validator(mode="after")
     def _real_arms_need_real_cameras(self) -> WorkcellFile:

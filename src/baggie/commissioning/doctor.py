@@ -1,0 +1,110 @@
+"""`baggie doctor`: checks all that can be checked of a workcell, first without moving, then, with leave, slowly."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from baggie.commissioning.health import MOVING, STILL, Check, Doubt
+from baggie.errors import BaggieError
+from baggie.workcell.workcell import Workcell
+
+Verdict = Literal["ok", "look", "failed", "not tried"]
+_COLORS: dict[Verdict, str] = {"ok": "green", "look": "yellow", "failed": "bold red", "not tried": "dim"}
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Check a workcell."""
+
+    workcell: tyro.conf.Positional[str] = "sim"
+    """A workcell file, or `sim`."""
+    cell: int = 0
+    """Number of the simulated workcell."""
+    move: Literal["ask", "yes", "no"] = "ask"
+    """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of one check."""
+
+    check: str
+    verdict: Verdict
+    found: str
+
+
+def examine(options: DoctorOptions, leave: Callable[[str], bool] | None = None) -> dict[str, Any]:
+    """The findings, ready for JSON; a table of them on stderr. Raises `BaggieError` where one has failed.
+
+    `leave` is asked whether the arm may move; the terminal unless given.
+    """
+    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
+
+    console = Console(stderr=True)
+    findings: list[Finding] = []
+    try:
+        cell = open_workcell(options.workcell, options.cell)
+    except BaggieError as error:
+        findings.append(Finding("workcell", "failed", str(error)))
+    else:
+        try:
+            findings.append(Finding("workcell", "ok", f"{options.workcell}: {cell.settings.name}"))
+            findings += list(_all_checks(cell, options, leave or _ask))
+        finally:
+            cell.close()
+    console.print(_table(findings))
+    failed = [finding for finding in findings if finding.verdict == "failed"]
+    if failed:
+        raise BaggieError(
+            f"{len(failed)} of {len(findings)} checks failed: {failed[0].check}: {failed[0].found}"
+        )
+    return {"findings": [asdict(finding) for finding in findings]}
+
+
+def _all_checks(cell: Workcell, options: DoctorOptions, leave: Callable[[str], bool]) -> Iterable[Finding]:
+    still = list(_checked(cell, STILL))
+    yield from still
+    healthy = all(finding.verdict != "failed" for finding in still)
+    question = f"may {cell.arm.info.name} move now, slowly, all over its workspace? Clear the table first"
+    if healthy and (options.move == "yes" or (options.move == "ask" and leave(question))):
+        yield from _checked(cell, MOVING, stop_at_failure=True)
+        return
+    why = "no leave to move" if healthy else "nothing moves before the rest is mended"
+    yield from (Finding(name, "not tried", why) for name in MOVING)
+
+
+def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool = False) -> Iterable[Finding]:
+    failed = ""
+    for name, check in checks.items():
+        if failed:
+            yield Finding(name, "not tried", f"after {failed} has failed")
+            continue
+        try:
+            yield Finding(name, "ok", check(cell))
+        except Doubt as doubt:
+            yield Finding(name, "look", str(doubt))
+        except BaggieError as error:
+            failed = name if stop_at_failure else ""
+            yield Finding(name, "failed", str(error))
+
+
+def _table(findings: Iterable[Finding]) -> Table:
+    table = Table("check", "", "found")
+    for finding in findings:
+        color = _COLORS[finding.verdict]
+        table.add_row(finding.check, f"[{color}]{finding.verdict}[/]", finding.found)
+    return table
+
+
+def _ask(question: str) -> bool:
+    """At the terminal; where nobody is, no."""
+    if not sys.stdin.isatty():
+        return False
+    return Console(stderr=True).input(f"[bold]→[/] {question} [y/N] ").strip().lower() in {"y", "yes"}

@@ -1,0 +1,140 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baggie.commissioning import health
+from baggie.commissioning.doctor import DoctorOptions, examine
+from baggie.errors import ArmError, BaggieError, CameraError
+from baggie.geometry import ToolPose
+from baggie.types import Observation
+from baggie.workcell.arm import ArmInfo
+from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+
+class ObedientArm:
+    """Does what it is told; the table is at `table_z`."""
+
+    info = ArmInfo("obedient", max_width_m=0.08, max_speed_m_s=2.0, max_force_n=70.0)
+
+    def __init__(self, table_z: float = 0.0, stuck_width: float | None = None) -> None:
+        self.at, self.width = ToolPose(0.4, 0.0, 0.4), 0.08
+        self.table_z, self.stuck_width = table_z, stuck_width
+        self.speeds: list[float] = []
+
+    def pose(self) -> ToolPose:
+        return self.at
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        self.speeds.append(speed_m_s)
+        self.at = target
+        return target
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        self.speeds.append(speed_m_s)
+        self.at = replace(self.at, z=max(z_min, self.table_z))
+        return self.at
+
+    def move_gripper(self, width_m: float) -> float:
+        self.width = width_m if self.stuck_width is None else self.stuck_width
+        return self.width
+
+    def grasp(self, force_n: float) -> float:
+        self.width = 0.0
+        return self.width
+
+    def gripper_width(self) -> float:
+        return self.width
+
+    def park(self) -> ToolPose:
+        return self.at
+
+    def stop(self) -> None:
+        pass
+
+
+class Eye:
+    """Noise about a level; or always the same picture."""
+
+    name, size, intrinsics = "eye", (64, 48), None
+
+    def __init__(self, level: int = 120, frozen: bool = False) -> None:
+        self.level, self.frozen, self._rng = level, frozen, np.random.default_rng(0)
+
+    def look(self) -> Observation:
+        rng = np.random.default_rng(1) if self.frozen else self._rng
+        return Observation(np.clip(rng.normal(self.level, 3, (48, 64, 3)), 0, 255).astype(np.uint8))
+
+
+class Cell(Workcell):
+    def clock(self) -> float:
+        return 0.0
+
+
+def cell(arm: ObedientArm | None = None, eye: Eye | None = None) -> Cell:
+    return Cell(arm or ObedientArm(), eye or Eye(), WorkcellSettings())
+
+
+def test_a_healthy_arm_passes_and_moves_slowly() -> None:
+    arm = ObedientArm()
+    for check in health.MOVING.values():
+        assert check(cell(arm))
+    assert arm.speeds
+    assert max(arm.speeds) <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("check", "sick", "error", "says"),
+    [
+        ("pictures", cell(eye=Eye(frozen=True)), CameraError, "frozen"),
+        ("light", cell(eye=Eye(level=10)), health.Doubt, "too dark"),
+        ("light", cell(eye=Eye(level=255)), health.Doubt, "less light"),
+        ("calibrations", cell(), health.Doubt, "baggie calibrate"),
+        ("gripper", cell(ObedientArm(stuck_width=0.07)), ArmError, "sent to 40 mm are 70 mm apart"),
+        ("touch", cell(ObedientArm(table_z=0.06)), ArmError, "touched at z 60 mm, 46 mm too early"),
+    ],
+)
+def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Cell, error: type, says: str) -> None:
+    with pytest.raises(error, match=says):
+        {**health.STILL, **health.MOVING}[check](sick)
+
+
+def test_a_simulated_workcell_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+    asked: list[str] = []
+
+    def leave(question: str) -> bool:
+        asked.append(question)
+        return True
+
+    found = {finding["check"]: finding for finding in examine(DoctorOptions(), leave)["findings"]}
+    assert len(asked) == 1
+    assert list(found) == ["workcell", *health.STILL, *health.MOVING]
+    sick = {name for name, finding in found.items() if finding["verdict"] != "ok"}
+    assert sick == {"calibrations", "view"}, "a fresh cell has none"
+    assert "touch" in capsys.readouterr().err
+
+
+def test_without_leave_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = ObedientArm()
+    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm))
+    findings = examine(DoctorOptions(move="no"))["findings"]
+    assert [f["verdict"] for f in findings if f["check"] in health.MOVING] == ["not tried"] * len(
+        health.MOVING
+    )
+    assert not arm.speeds
+
+
+def test_nothing_moves_before_the_camera_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = ObedientArm()
+    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm, Eye(frozen=True)))
+    with pytest.raises(
+        BaggieError, match="1 of 11 checks failed: pictures: eye shows the same picture twice"
+    ):
+        examine(DoctorOptions(move="yes"))
+    assert not arm.speeds
+
+
+def test_a_workcell_file_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
+    with pytest.raises(BaggieError, match="1 of 1 checks failed: workcell: no workcell file"):
+        examine(DoctorOptions(str(tmp_path / "nowhere.yaml")))
