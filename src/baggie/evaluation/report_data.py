@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.episode import Episode, read_episodes
+from baggie.evaluation.bag_place import BAGS
+from baggie.evaluation.episode import Episode
+from baggie.evaluation.log import read_log
 from baggie.geometry import FloatArray
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -139,7 +141,7 @@ def gather(folders: Sequence[Path]) -> Results:
             )
     trainings = _read(folders, "config.yaml", _training)
     validations = _read(folders, "predictions.json", _validation)
-    evaluations = _read(folders, "episodes.jsonl", _evaluation)
+    evaluations = _read(folders, BAGS.log, _evaluation)
     _check_told_apart(trainings)
     _check_told_apart(validations)
     runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations).items()}
@@ -210,7 +212,7 @@ def _evaluation(folder: Path) -> Evaluation | None:
     if not (folder / "metrics.json").exists():
         return None  # still running
     metrics = _json(folder / "metrics.json")
-    episodes = read_episodes(folder / "episodes.jsonl")
+    episodes = read_log(folder / BAGS.log, Episode)
     chosen = sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
     return Evaluation(folder, metrics["policy"], metrics["run"], metrics, chosen)
 
