@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from baggie.evaluation.block_bench import BlockBench
-from baggie.evaluation.block_pictures import save_map, save_step
 from baggie.evaluation.kind import EpisodeRecord
 from baggie.evaluation.log import Record
+from baggie.evaluation.map_pictures import save_map, save_step
 from baggie.evaluation.pictures import save_mp4
 from baggie.evaluation.turn import Turn, take_turn
 

@@ -1,4 +1,4 @@
-"""What an episode with blocks shows: the table from straight above, and in each step the plan and its heat maps."""
+"""Pictures of height maps: the table from straight above, and over it a plan and its heat maps."""
 
 from __future__ import annotations
 
