@@ -19,8 +19,9 @@ from baggie.errors import BaggieError, DataError, UnsureError
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.card_map import card_map
 from baggie.evaluation.closed_loop import evaluate
-from baggie.evaluation.episode import Episode, read_episodes
+from baggie.evaluation.episode import Episode
 from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
+from baggie.evaluation.log import read_log
 from baggie.evaluation.options import EvaluateOptions
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.policies.oracle import OraclePolicy
@@ -257,7 +258,7 @@ def test_a_log_of_another_version_is_refused_in_one_line(tmp_path):
     with pytest.raises(
         DataError, match=r"episodes.jsonl: .*without \['pick_error_cm'\].*evaluate again"
     ) as raised:
-        read_episodes(log)
+        read_log(log, Episode)
     assert "\n" not in str(raised.value)
 
 

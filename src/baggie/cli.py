@@ -105,9 +105,11 @@ def validate(options: ValidateOptions, json: bool = False) -> None:
 
 
 def evaluate(options: EvaluateOptions, json: bool = False) -> None:
-    """Run the whole loop on scenes nobody has seen, and measure where the bags end.
+    """Run the whole loop on scenes nobody has seen, and measure how often the task is done.
 
     Example: baggie evaluate --policy runs/keypoint --task bag-place --episodes 100 --out runs/keypoint/evaluation
+
+    Example: baggie evaluate --policy runs/pyramid --task block-pyramid --out runs/pyramid/evaluation
 
     Args:
         options: What to run.

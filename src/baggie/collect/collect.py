@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
@@ -25,6 +24,7 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.processes import stream_in_processes
+from baggie.progress import progress_bar
 from baggie.types import Attempt
 from baggie.vision.picture_files import read_picture
 from baggie.workcell.watch import REFERENCE_FILE, Watch
@@ -135,23 +135,14 @@ def _record(
     reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
     worker = functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
     done, good, start = 0, 0, time.monotonic()
-    progress = Progress(
-        TextColumn("collecting"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(),
-        console=console,
-    )
     recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
-    with progress:
-        bar = progress.add_task("", total=options.attempts, completed=recorded, note="")
-        workers = options.workers or os.cpu_count() or 1
+    workers = options.workers or os.cpu_count() or 1
+    with progress_bar("collecting", options.attempts, recorded, console) as advance:
         for attempt in stream_in_processes(worker, sittings, workers):
             writer.append(attempt)
             done, good = done + 1, good + attempt.outcome.success
             rate = 60 * done / (time.monotonic() - start)
-            progress.update(bar, advance=1, note=f"{good}/{done} succeeded, {rate:.0f} a minute")
+            advance(f"{good}/{done} succeeded, {rate:.0f} a minute")
     return 60 * done / (time.monotonic() - start)
 
 

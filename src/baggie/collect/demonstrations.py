@@ -10,8 +10,6 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baggie import seeds
 from baggie.collect.options import CollectOptions
@@ -20,6 +18,7 @@ from baggie.data import DatasetWriter, inspect_dataset
 from baggie.errors import LimitError, ReachError
 from baggie.grid import Grid
 from baggie.processes import stream_in_processes
+from baggie.progress import progress_bar
 from baggie.sim.tasks import Task, find_task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 
@@ -187,20 +186,14 @@ def _record(
     recorded = dict(writer.episodes)
     missing = missing_demonstrations(options.attempts, recorded)
     cut_short = missing[0] if missing and missing[0] in recorded else None
-    console = Console(stderr=True)
     worker = functools.partial(open_demonstrator, open_cell, options.task, recording)
     done, start = 0, time.monotonic()
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-    with Progress(TextColumn("demonstrating"), *columns, console=console) as progress:
-        bar = progress.add_task(
-            "", total=options.attempts, completed=options.attempts - len(missing), note=""
-        )
+    with progress_bar("demonstrating", options.attempts, options.attempts - len(missing)) as advance:
         shown = stream_in_processes(worker, missing, options.workers or os.cpu_count() or 1)
         for attempts in first_of_all(cut_short, shown):
             for attempt in attempts:
                 if attempt.attempt_id not in writer.attempt_ids:
                     writer.append(attempt)
             done += 1
-            rate = 60 * done / (time.monotonic() - start)
-            progress.update(bar, advance=1, note=f"{rate:.0f} a minute")
+            advance(f"{60 * done / (time.monotonic() - start):.0f} a minute")
     return 60 * done / (time.monotonic() - start) if done else None

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.image_to_robot.map import ImageToRobot
@@ -21,6 +20,7 @@ from baggie.commissioning.printed import HAND_MARKER
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, transform_points
+from baggie.progress import progress_bar
 from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Seen
 from baggie.workcell.limits import Limits
@@ -96,15 +96,8 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
     bench.assistant.hold(
         marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
     )
-    columns = (
-        TextColumn("driving over the workspace"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
     try:
-        with Progress(*columns, console=bench.console) as progress:
-            bar = progress.add_task("", total=len(wanted), completed=len(visited))
+        with progress_bar("driving over the workspace", len(wanted), len(visited), bench.console) as advance:
             for number, hand, observation in visit(cell.arm, bench.camera, wanted[missing], in_hand):
                 pixel = find(observation.color)
                 words = f"point {missing[number] + 1} of {len(wanted)}: " + (
@@ -118,7 +111,7 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
                         "pixel": pixel.tolist(),
                     }
                     folder.append(view, observation.color)
-                progress.advance(bar)
+                advance()
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted after {len(folder)} of {len(wanted)} points; the same command again goes on"

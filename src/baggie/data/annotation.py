@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 import numpy as np
 
 from baggie.errors import BaggieError, DataError
 from baggie.types import Attempt, Goal
 from baggie.vision.draw import check_goal
+
+_DONE = 1 - 1e-6
 
 
 def goal_of(attempt: Attempt) -> Goal:
@@ -38,3 +43,9 @@ def is_demonstration(attempt: Attempt) -> bool:
     except BaggieError:
         return False
     return True
+
+
+def did_its_task(rewards: Iterable[float | None]) -> bool:
+    """Whether an episode with these rewards did its task: they add up to 1, or nobody counted (None or NaN)."""
+    counted = [reward for reward in rewards if reward is not None and not math.isnan(reward)]
+    return not counted or sum(counted) >= _DONE

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baggie.data.ravens import RavensAction, RavensEpisode, RavensFolder, pose_to_planar
 from baggie.data.ravens_observation import fused
@@ -20,6 +18,7 @@ from baggie.data.summary import inspect_dataset
 from baggie.data.writer import DatasetWriter
 from baggie.errors import DataError
 from baggie.grid import Grid
+from baggie.progress import progress_bar
 from baggie.types import Attempt, Outcome, PickPlace
 
 _NOWHERE = np.full((4, 2), np.nan)
@@ -93,17 +92,8 @@ def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
     missing = [i for i, number in enumerate(numbers) if number not in recorded]
     if last in numbers:
         missing.insert(0, numbers.index(last))
-    progress = Progress(
-        TextColumn("converting"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("episodes"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
     attempt_id = max(writer.attempt_ids, default=-1) + 1
-    with progress:
-        bar = progress.add_task("", total=len(source), completed=len(source) - len(missing))
+    with progress_bar("converting episodes", len(source), len(source) - len(missing)) as advance:
         for i in missing:
             episode = source[i]
             for attempt in attempts_of(
@@ -111,7 +101,7 @@ def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
             ):
                 writer.append(attempt)
                 attempt_id += 1
-            progress.advance(bar)
+            advance()
 
 
 def attempts_of(

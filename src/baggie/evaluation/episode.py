@@ -5,20 +5,19 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from baggie.errors import BaggieError, DataError, LimitError, ReachError, UnsureError
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.episode_pictures import EpisodeScene, save_pictures
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
-from baggie.evaluation.log import read_lines
+from baggie.evaluation.kind import EpisodeRecord
 from baggie.evaluation.metrics import position_error_cm, yaw_error_deg
 from baggie.evaluation.options import GoalKind
 from baggie.evaluation.pictures import save_mp4
+from baggie.evaluation.turn import Turn, take_turn
 from baggie.geometry import PlanarPose
-from baggie.types import Goal, Observation, Outcome, Plan
+from baggie.types import Goal, Observation
 from baggie.vision.draw import check_goal
 
 FILM_FPS = 10
@@ -27,10 +26,9 @@ PLAY_FPS = 20
 
 
 @dataclass(frozen=True)
-class Episode:
+class Episode(EpisodeRecord):
     """Poses are (x, y, yaw), metres and radians. All but the times depend on the seed alone."""
 
-    episode: int
     start: tuple[float, ...]
     goal: tuple[float, ...]
     final: tuple[float, ...]
@@ -60,30 +58,6 @@ class Episode:
     """Wall clock, one for each look."""
     wall_s: float
 
-    def to_json(self) -> dict[str, Any]:
-        """For the log."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, record: dict[str, Any]) -> Episode:
-        """The inverse of `to_json`. Raises `DataError` for a record of another version of baggie."""
-        own = {entry.name for entry in fields(cls)}
-        if record.keys() != own:
-            raise DataError(
-                f"expected an episode as this version of baggie logs it, got one without {sorted(own - record.keys())} "
-                f"and with {sorted(record.keys() - own)} besides; evaluate again into another folder"
-            )
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
-        return cls(**values)
-
-
-def read_episodes(log: Path) -> list[Episode]:
-    """The episodes in a log, oldest first; none where there is no log. Raises `DataError`, naming it, as above."""
-    try:
-        return [Episode.from_json(record) for record in read_lines(log)]
-    except DataError as error:
-        raise DataError(f"cannot use {log}: {error}") from None
-
 
 def run_episode(
     bench: Bench,
@@ -110,14 +84,14 @@ def run_episode(
         cell.lay_card(pose)
     filming = cell.film(fps=FILM_FPS) if film else contextlib.nullcontext([])
     with filming as frames:
-        turn = _take_turn(bench, goal_kind, (*stream, number), retries)
+        turns = _take_turns(bench, goal_kind, (*stream, number), retries)
         after = cell.look()
     final, symmetry = cell.truth(), cell.settings.object_symmetry
-    scene = EpisodeScene(cell, pose, turn.bag, final)
-    save_pictures(out / f"episode-{number:04d}", scene, before=(turn.seen, turn.goal, turn.plan), after=after)
+    plan, outcome = (turns.last.plan, turns.last.outcome) if turns.last else (None, None)
+    scene = EpisodeScene(cell, pose, turns.bag, final)
+    save_pictures(out / f"episode-{number:04d}", scene, before=(turns.seen, turns.goal, plan), after=after)
     if frames:
         save_mp4(out / f"episode-{number:04d}.mp4", frames, PLAY_FPS)
-    plan, outcome = turn.plan, turn.outcome
     return Episode(
         episode=number,
         start=(start.x, start.y, start.yaw),
@@ -127,22 +101,22 @@ def run_episode(
         yaw_error_deg=yaw_error_deg(final, pose, symmetry),
         planned=tuple(plan.action.to_array().tolist()) if plan else None,
         executed=tuple(outcome.executed.to_array().tolist()) if outcome else None,
-        pick_error_cm=position_error_cm(plan.action.pick, turn.bag) if plan else None,
+        pick_error_cm=position_error_cm(plan.action.pick, turns.bag) if plan else None,
         place_error_cm=position_error_cm(plan.action.place, pose) if plan else None,
-        pick_yaw_error_deg=yaw_error_deg(plan.action.pick, turn.bag, symmetry) if plan else None,
+        pick_yaw_error_deg=yaw_error_deg(plan.action.pick, turns.bag, symmetry) if plan else None,
         pick_within_m=plan.pick_within_m if plan else None,
         place_within_m=plan.place_within_m if plan else None,
         confidence=plan.confidence if plan else 0.0,
-        looks=len(turn.decision_ms),
-        failure=turn.failure,
-        message=turn.message,
-        decision_ms=tuple(turn.decision_ms),
+        looks=len(turns.decision_ms),
+        failure=turns.last.failure if turns.last else "no-card",
+        message=turns.message,
+        decision_ms=tuple(turns.decision_ms),
         wall_s=time.perf_counter() - began,
     )
 
 
 @dataclass
-class _Turn:
+class _Turns:
     """Look, plan, move, check, until the gripper has held something."""
 
     seen: Observation
@@ -151,43 +125,28 @@ class _Turn:
     """Where the bag truly was in it; a missed grasp may have moved it."""
     goal: Goal | None = None
     """As the policy was told it; None where the card was not found."""
-    plan: Plan | None = None
-    outcome: Outcome | None = None
-    failure: str = ""
+    last: Turn | None = None
+    """None without a goal."""
     message: str = ""
     decision_ms: list[float] = field(default_factory=list)
 
 
-def _take_turn(bench: Bench, goal_kind: GoalKind, stream: Sequence[int], retries: int) -> _Turn:
+def _take_turns(bench: Bench, goal_kind: GoalKind, stream: Sequence[int], retries: int) -> _Turns:
     cell = bench.cell
-    turn = _Turn(cell.look(), cell.truth())
+    turns = _Turns(cell.look(), cell.truth())
     try:
-        goal = goal_in(bench, goal_kind, bench.goal, turn.seen, stream)
+        goal = goal_in(bench, goal_kind, bench.goal, turns.seen, stream)
     except NoCardError as error:
-        turn.failure, turn.message = "no-card", str(error)
-        return turn
-    check_goal(goal, turn.seen.size)
-    turn.goal = goal
+        turns.message = str(error)
+        return turns
+    check_goal(goal, turns.seen.size)
+    turns.goal = goal
     for look_again in range(1 + retries):
         if look_again:
-            turn.seen, turn.bag = cell.look(), cell.truth()
-        clock = time.perf_counter()
-        try:
-            turn.plan = bench.policy.plan(turn.seen, goal)
-        except BaggieError as error:
-            turn.plan, turn.failure, turn.message = None, "no-plan", str(error)
-            break
-        finally:
-            turn.decision_ms.append(1000 * (time.perf_counter() - clock))
-        try:
-            turn.outcome = cell.carry_out(turn.plan)
-        except UnsureError as error:
-            turn.failure, turn.message = "unsure", str(error)
-            break
-        except (LimitError, ReachError) as error:
-            turn.failure, turn.message = "out-of-reach", str(error)
-            break
-        turn.failure = turn.outcome.failure or ""
+            turns.seen, turns.bag = cell.look(), cell.truth()
+        turns.last = turn = take_turn(bench.policy, cell, turns.seen, goal)
+        turns.decision_ms.append(turn.decision_ms)
+        turns.message = turn.message
         if turn.failure != "missed-grasp":
             break
-    return turn
+    return turns

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baggie.data import Dataset, open_dataset
+from baggie.data.annotation import did_its_task
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.subjects import config_of
+from baggie.geometry import FloatArray
 from baggie.types import Goal
 from baggie.vision.draw import check_goal
 
@@ -45,8 +48,14 @@ def held_out(policy: str, dataset: Dataset, last: int) -> HeldOut:
 
 
 def demonstrations(dataset: Dataset) -> list[int]:
-    """Indices of the attempts that succeeded and whose goal lies in the picture before; reads no picture."""
+    """Indices of the attempts that succeeded, of episodes that did their task; reads no picture.
+
+    Where the task marks goals, only those whose goal lies in the picture before.
+    """
     numbers = dataset.numbers()
+    usable = numbers["success"] & _of_whole_episodes(dataset.episodes, numbers["reward"])
+    if not np.isfinite(numbers["box_after"]).any():
+        return [int(index) for index in np.flatnonzero(usable)]
 
     def in_picture(index: int) -> bool:
         try:
@@ -55,7 +64,13 @@ def demonstrations(dataset: Dataset) -> list[int]:
             return False
         return True
 
-    return [int(index) for index in np.flatnonzero(numbers["success"]) if in_picture(int(index))]
+    return [int(index) for index in np.flatnonzero(usable) if in_picture(int(index))]
+
+
+def _of_whole_episodes(episodes: NDArray[np.int64], rewards: FloatArray) -> NDArray[np.bool_]:
+    """`(N,)`; what stands alone (episode -1) is whole."""
+    done = {int(each): did_its_task(rewards[episodes == each]) for each in np.unique(episodes) if each >= 0}
+    return np.array([done.get(int(each), True) for each in episodes], bool)
 
 
 def _training(policy: str) -> Mapping[str, Any] | None:

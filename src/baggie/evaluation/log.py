@@ -4,10 +4,42 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 from baggie.errors import DataError
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a line of a log says."""
+
+    def to_json(self) -> dict[str, Any]:
+        """For the log."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> Self:
+        """The inverse of `to_json`. Raises `DataError` for a record of another version of baggie."""
+        own = {entry.name for entry in fields(cls)}
+        if record.keys() != own:
+            raise DataError(
+                f"expected an episode as this version of baggie logs it, got one without {sorted(own - record.keys())} "
+                f"and with {sorted(record.keys() - own)} besides; evaluate again into another folder"
+            )
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in record.items()})
+
+
+Kept = TypeVar("Kept", bound=Record)
+
+
+def read_log(path: Path, kind: type[Kept]) -> list[Kept]:
+    """The records of a log, oldest first; none where there is no log. Raises `DataError`, naming it, as above."""
+    try:
+        return [kind.from_json(record) for record in read_lines(path)]
+    except DataError as error:
+        raise DataError(f"cannot use {path}: {error}") from None
 
 
 def append_line(path: Path, record: dict[str, Any]) -> None:

@@ -122,15 +122,23 @@ def references(attempt: Attempt) -> dict[str, PickPlace]:
     return found
 
 
-def action_errors(planned: PickPlace, right: PickPlace) -> dict[str, float]:
-    """How far an action is off; units in the keys.
+def turn_error_deg(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> float:
+    """Degrees by which the object is turned wrongly between pick and place, modulo its symmetry as above."""
+    ours, theirs = (PlanarPose(0.0, 0.0, action.place.yaw - action.pick.yaw) for action in (planned, right))
+    return yaw_error_deg(ours, theirs, symmetry)
 
-    Yaws are compared modulo a quarter turn, for a long object too, where half a turn would be right: an attempt does
-    not say which shape its object has, and around a square with soft corners a box may be as long as around a long one.
+
+def action_errors(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> dict[str, float]:
+    """How far an action is off; units in the keys. `symmetry`: how often a turn what is moved looks the same.
+
+    Yaws are compared modulo a quarter turn unless it is known, for a long bag too, where half a turn would be right: an
+    attempt does not say which shape its object has, and around a square with soft corners a box may be as long as
+    around a long one.
     """
     return {
         "pick_error_cm": position_error_cm(planned.pick, right.pick),
         "place_error_cm": position_error_cm(planned.place, right.place),
-        "pick_yaw_error_deg": yaw_error_deg(planned.pick, right.pick),
-        "place_yaw_error_deg": yaw_error_deg(planned.place, right.place),
+        "pick_yaw_error_deg": yaw_error_deg(planned.pick, right.pick, symmetry),
+        "place_yaw_error_deg": yaw_error_deg(planned.place, right.place, symmetry),
+        "turn_error_deg": turn_error_deg(planned, right, symmetry),
     }

@@ -7,16 +7,20 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from baggie.errors import BaggieError
+from baggie.policies import ColorMaskPolicy
+from baggie.sim.tasks import TASKS as BLOCK_TASKS
 from baggie.sim.variety import Scenery
 
-TASKS = ("bag-place",)
+TASKS = ("bag-place", *BLOCK_TASKS)
 GoalKind = Literal["virtual", "turned", "card"]
 """How a goal is given: marked square to the workspace, marked at any angle, or by a card that really lies there."""
+_OF_BAGS = ("scenery", "goal", "radius_cm", "retries", "calibration")
+"""What means nothing with blocks: they have a cell and goals of their own, and a task says what counts."""
 
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Run a policy in the closed loop on unseen scenes of the simulator, and measure where the bags end.
+    """Run a policy in the closed loop on unseen scenes of the simulator, and measure how often it does its task.
 
     Again with the same words it goes on where it stopped; with more episodes it adds to those it has.
 
@@ -24,11 +28,13 @@ class EvaluateOptions:
     """
 
     policy: str
-    """A training run's folder, a Hub id, `color-mask`, or `oracle`, which reads the simulator's truth."""
+    """A training run's folder, a Hub id, `color-mask` (bags only), or `oracle`, which reads the simulator's truth."""
     out: Path
-    """Where metrics.json, episodes.jsonl, pictures and videos go."""
+    """Where metrics.json, the log of episodes, pictures and videos go."""
     task: str = "bag-place"
-    """What to do. There is one: bag-place."""
+    """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
+    block-pyramid, place-red-in-green, align-box-corner.
+    """
     episodes: int = 100
     """How many scenes."""
     seed: int = 0
@@ -36,21 +42,25 @@ class EvaluateOptions:
     cell: int = 0
     """The workcell; a policy belongs to the one it was trained in."""
     scenery: Scenery = "plain"
-    """The cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none ever shows;
-    or a second bag.
+    """bag-place: the cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none
+    ever shows; or a second bag.
     """
     goal: GoalKind = "virtual"
-    """Marked in the picture, square to the workspace; at any angle; or a real green card that has to be found."""
+    """bag-place: marked in the picture, square to the workspace; at any angle; or a real green card that has to be
+    found.
+    """
     radius_cm: float = 2.0
-    """A bag this near the middle of its goal is a success."""
+    """bag-place: a bag this near the middle of its goal is a success."""
     retries: int = 2
-    """How often to look again when the gripper noticed that it missed."""
+    """bag-place: how often to look again when the gripper noticed that it missed. With blocks that takes a step."""
     workers: int | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
     film: int = 2
     """How many of the first episodes to make a video of."""
     calibration: Path | None = None
-    """A recording of this cell, for its map: `color-mask` plans with it, `--goal card` allows for a bag's height."""
+    """bag-place: a recording of this cell, for its map: `color-mask` plans with it, `--goal card` allows for a bag's
+    height.
+    """
 
     def check(self) -> None:
         """Raise `BaggieError` for what cannot be evaluated."""
@@ -68,3 +78,23 @@ class EvaluateOptions:
             raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
         if self.radius_cm <= 0:
             raise BaggieError(f"expected --radius-cm above 0, got {self.radius_cm}")
+        if self.of_blocks:
+            self._check_blocks()
+
+    @property
+    def of_blocks(self) -> bool:
+        """Whether the task is one with blocks."""
+        return self.task in BLOCK_TASKS
+
+    def _check_blocks(self) -> None:
+        for name in _OF_BAGS:
+            if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
+                raise BaggieError(
+                    f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
+                    "take --task bag-place"
+                )
+        if self.policy == ColorMaskPolicy.name:
+            raise BaggieError(
+                f"expected a policy that looks at height maps with --task {self.task}, got {self.policy}, which finds "
+                "bags; give the folder of a transporter run, or oracle"
+            )

@@ -119,6 +119,16 @@ def heat_over(image: Image, region: Region, views: Mapping[str, NDArray[np.float
     return picture
 
 
+def arrow(image: Image, start: FloatArray, end: FloatArray) -> Image:
+    """A copy of a picture with an arrow in it, in the colour of what is planned; `start`, `end`: pixels (u, v)."""
+    drawn = image.copy()
+    a, b = (tuple(_fixed(np.asarray(point)).tolist()) for point in (start, end))
+    for color, width in (((0, 0, 0), 4), (PLANNED, 2)):
+        cv2.circle(drawn, a, 5 * 16, color, width, cv2.LINE_AA, shift=4)
+        cv2.arrowedLine(drawn, a, b, color, width, cv2.LINE_AA, shift=4, tipLength=0.08)
+    return drawn
+
+
 def save_jpeg(path: Path, image: Image) -> None:
     """Write a JPEG of `(H, W, 3)` RGB."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rich.console import Console
 from rich.progress import track
 
-from baggie.data.annotation import goal_of
+from baggie.data.annotation import shown_goal
 from baggie.errors import BaggieError
 from baggie.evaluation.metrics import action_errors, references, summary, within_stated
 from baggie.geometry import PlanarPose
@@ -34,6 +34,8 @@ class Prediction:
     place_within_m: float | None = None
     message: str = ""
     """Why it could not tell."""
+    symmetry: int = 4
+    """How often a turn what is moved looks the same."""
 
     @property
     def best_reference(self) -> PickPlace:
@@ -44,13 +46,15 @@ class Prediction:
         """By reference, then by quantity, with units in the keys; nothing where there is no action."""
         if self.action is None:
             return {}
-        return {name: action_errors(self.action, right) for name, right in self.references.items()}
+        return {
+            name: action_errors(self.action, right, self.symmetry) for name, right in self.references.items()
+        }
 
     def worst_cm(self) -> float:
         """The greater of both errors against the best reference there is; infinite without an action."""
         if self.action is None:
             return float("inf")
-        best = action_errors(self.action, self.best_reference)
+        best = action_errors(self.action, self.best_reference, self.symmetry)
         return max(best["pick_error_cm"], best["place_error_cm"])
 
     def to_json(self) -> dict[str, Any]:
@@ -70,11 +74,14 @@ class Prediction:
         }
 
 
-def predict(policy: Policy, attempts: Iterable[Attempt], total: int) -> list[Prediction]:
-    """The policy's word on each attempt, each timed; the very first plan is made twice, to warm up."""
+def predict(policy: Policy, attempts: Iterable[Attempt], total: int, symmetry: int = 4) -> list[Prediction]:
+    """The policy's word on each attempt, each timed; the very first plan is made twice, to warm up.
+
+    `symmetry`: how often a turn what is moved looks the same.
+    """
     predictions: list[Prediction] = []
     for attempt in track(attempts, "validating", total, console=Console(stderr=True)):
-        goal = goal_of(attempt)
+        goal = shown_goal(attempt)
         for _ in range(1 if predictions else 2):
             plan, message = None, ""
             start = time.perf_counter()
@@ -83,22 +90,24 @@ def predict(policy: Policy, attempts: Iterable[Attempt], total: int) -> list[Pre
             except BaggieError as error:
                 message = str(error)
             decision_ms = 1000 * (time.perf_counter() - start)
-        predictions.append(_prediction(attempt, plan, decision_ms, message))
+        predictions.append(_prediction(attempt, plan, decision_ms, message, symmetry))
     return predictions
 
 
-def _prediction(attempt: Attempt, plan: Plan | None, decision_ms: float, message: str) -> Prediction:
-    right = references(attempt)
+def _prediction(
+    attempt: Attempt, plan: Plan | None, decision_ms: float, message: str, symmetry: int
+) -> Prediction:
+    said = Prediction(
+        attempt.attempt_id, None, references(attempt), decision_ms, message=message, symmetry=symmetry
+    )
     if plan is None:
-        return Prediction(attempt.attempt_id, None, right, decision_ms, message=message)
-    return Prediction(
-        attempt.attempt_id,
-        plan.action,
-        right,
-        decision_ms,
-        plan.confidence,
-        plan.pick_within_m,
-        plan.place_within_m,
+        return said
+    return replace(
+        said,
+        action=plan.action,
+        confidence=plan.confidence,
+        pick_within_m=plan.pick_within_m,
+        place_within_m=plan.place_within_m,
     )
 
 

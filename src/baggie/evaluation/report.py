@@ -24,8 +24,8 @@ class ReportOptions:
     """Folders that train, validate or evaluate wrote, or folders of such."""
     out: Path = Path("report.html")
     """The page."""
-    title: str = "Bags onto goals"
-    """Its heading."""
+    title: str | None = None
+    """Its heading; by default what it is about."""
 
 
 def report(options: ReportOptions) -> Path:
@@ -37,5 +37,8 @@ def report(options: ReportOptions) -> Path:
     page = Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(
         "report.html.j2"
     )
-    write_text(options.out, page.render(title=options.title, **content(gather(options.runs))))
+    variables = content(gather(options.runs))
+    if options.title is not None:
+        variables["title"] = options.title
+    write_text(options.out, page.render(variables))
     return options.out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from baggie.evaluation import report_figures as figures
-from baggie.evaluation.report_data import Evaluation
+from baggie.evaluation.report_items import Evaluation, Tried
 from baggie.evaluation.report_values import Content, data_uri, data_uris, figure, percent
 
 WORST = 10
@@ -17,16 +17,16 @@ _RAISED = {
 }
 
 
-def videos(evaluations: Sequence[Evaluation], main: str) -> list[Content]:
+def videos(evaluations: Sequence[Tried], main: str) -> list[Content]:
     """Two at most, of the policy the report is about where there are any."""
     found = [(e, path) for e in evaluations if e.policy == main for path in e.videos()]
     found = found or [(e, path) for e in evaluations for path in e.videos()]
     shown = []
     for evaluation, path in found[:MAX_VIDEOS]:
         number = int(path.stem.split("-")[1])
-        distance = next((e.distance_cm for e in evaluation.episodes if e.episode == number), None)
-        end = "" if distance is None else f": ends {distance:.1f} cm from the goal"
-        shown.append({"uri": data_uri(path), "caption": f"{evaluation.policy}, episode {number}{end}"})
+        words = [f"{evaluation.policy}, episode {number}", evaluation.ending(number)]
+        caption = f"{': '.join(filter(None, words))} (at {evaluation.speed:g} times the real speed)"
+        shown.append({"uri": data_uri(path), "caption": caption})
     return shown
 
 
@@ -49,7 +49,7 @@ def closed_loop(evaluations: Sequence[Evaluation], main: str, colors: figures.Co
     worst = sorted(first.episodes, key=lambda e: e.distance_cm, reverse=True)[:WORST]
     cases = []
     for episode in worst:
-        paths = [first.picture(episode, kind) for kind in ("before", "after")]
+        paths = [first.picture(episode.episode, kind) for kind in ("before", "after")]
         trouble = f" · {episode.message or episode.failure}" if episode.failure else ""
         caption = f"{episode.distance_cm:.1f} cm from the goal{trouble}"
         cases.append({"number": episode.episode, "pictures": data_uris(paths), "caption": caption})

@@ -1,129 +1,36 @@
-"""What a report is made of: the folders that train, validate and evaluate wrote, read back."""
+"""What a report is made of, read back from folders."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.episode import Episode, read_episodes
-from baggie.geometry import FloatArray
+from baggie.evaluation.bag_place import BAGS
+from baggie.evaluation.block_tasks import BLOCKS
+from baggie.evaluation.kind import EpisodeRecord
+from baggie.evaluation.log import read_log
+from baggie.evaluation.report_items import (
+    BASELINES,
+    BlockEvaluation,
+    Evaluation,
+    Results,
+    Training,
+    Validation,
+)
 
-Series = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Steps and values, `(N,)` each."""
-BASELINES = ("color-mask", "oracle")
-_GOALS = {"turned": "turned goals", "card": "card"}
-
-
-@dataclass(frozen=True)
-class Training:
-    """A folder that train wrote."""
-
-    folder: Path
-    policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
-    run: str
-    config: dict[str, Any]
-    metrics: dict[str, Any]
-    scalars: dict[str, Series]
-    """By TensorBoard tag."""
+Found = TypeVar("Found", Training, Validation, Evaluation, BlockEvaluation)
 
 
-@dataclass(frozen=True)
-class Validation:
-    """A folder that validate wrote."""
-
-    folder: Path
-    policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
-    run: str
-    metrics: dict[str, Any]
-    predictions: list[dict[str, Any]]
-    worst: list[dict[str, Any]]
-
-    @property
-    def reference(self) -> str:
-        """The best one there is: `truth`, else `labels`."""
-        return "truth" if "truth" in self.metrics else "labels"
-
-    def errors_cm(self, quantity: str) -> list[float]:
-        """Of every attempt with a plan; `quantity` is `pick` or `place`."""
-        found = [prediction["errors"] for prediction in self.predictions if prediction["errors"]]
-        return [errors[self.reference][f"{quantity}_error_cm"] for errors in found]
-
-    def positions(self, quantity: str) -> tuple[FloatArray, FloatArray]:
-        """True and predicted positions, `(N, 2)` metres each."""
-        poses = [p["poses"] for p in self.predictions if p["errors"]]
-        true, predicted = (
-            np.array([pose[name][quantity][:2] for pose in poses]) for name in (self.reference, "predicted")
-        )
-        return true, predicted
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A folder that evaluate wrote."""
-
-    folder: Path
-    policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
-    run: str
-    metrics: dict[str, Any]
-    episodes: list[Episode]
-
-    @property
-    def conditions(self) -> str:
-        """In what it differs from the plain closed loop: scenery and how goals were given; empty for nothing."""
-        scenery, goal = self.metrics["scenery"], self.metrics["goal"]
-        return ", ".join(
-            [*([scenery] if scenery != "plain" else []), *([_GOALS[goal]] if goal != "virtual" else [])]
-        )
-
-    def distances_cm(self) -> list[float]:
-        """Of every episode, from bag to goal at the end."""
-        return [episode.distance_cm for episode in self.episodes]
-
-    def offsets_cm(self) -> FloatArray:
-        """`(N, 2)`: from goal to bag at the end, x and y."""
-        return np.array([100 * (np.array(e.final[:2]) - np.array(e.goal[:2])) for e in self.episodes])
-
-    def picture(self, episode: Episode, kind: str) -> Path:
-        """`before`, `after` or `heat`; may be missing."""
-        return self.folder / "episodes" / f"episode-{episode.episode:04d}-{kind}.jpg"
-
-    def videos(self) -> list[Path]:
-        """Those there are, in the order of the episodes."""
-        return sorted((self.folder / "episodes").glob("episode-????.mp4"))
-
-
-@dataclass(frozen=True)
-class Results:
-    """Everything found; trained policies first, then baselines, each list by policy."""
-
-    trainings: list[Training]
-    validations: list[Validation]
-    evaluations: list[Evaluation]
-
-    def items(self) -> list[Training | Validation | Evaluation]:
-        """All of them."""
-        return [*self.trainings, *self.validations, *self.evaluations]
-
-    def policies(self) -> list[str]:
-        """Each policy once, baselines last."""
-        names = dict.fromkeys(item.policy for item in self.items())
-        return sorted(names, key=lambda name: name.startswith(BASELINES))
-
-
-Found = TypeVar("Found", Training, Validation, Evaluation)
+Logged = TypeVar("Logged", bound=EpisodeRecord)
 
 
 def gather(folders: Sequence[Path]) -> Results:
@@ -139,10 +46,11 @@ def gather(folders: Sequence[Path]) -> Results:
             )
     trainings = _read(folders, "config.yaml", _training)
     validations = _read(folders, "predictions.json", _validation)
-    evaluations = _read(folders, "episodes.jsonl", _evaluation)
+    evaluations = _read(folders, BAGS.log, _evaluation)
+    blocks = _read(folders, BLOCKS.log, _block_evaluation)
     _check_told_apart(trainings)
     _check_told_apart(validations)
-    runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations).items()}
+    runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations, blocks).items()}
     if not runs:
         names = ", ".join(map(str, folders))
         raise BaggieError(
@@ -157,7 +65,13 @@ def gather(folders: Sequence[Path]) -> Results:
         """Each under its conditions: a policy is as many rows as there are tests it was put to."""
         return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
 
-    return Results(named(trainings), named(validations), told_apart(named(evaluations)))
+    bags = named(evaluations)
+    tests = Counter(item.policy for item in [*bags, *named(blocks)])
+
+    def by_task(items: Sequence[BlockEvaluation]) -> list[BlockEvaluation]:
+        return [replace(i, policy=f"{i.policy}, {i.task}") if tests[i.policy] > 1 else i for i in items]
+
+    return Results(named(trainings), named(validations), told_apart(bags), by_task(named(blocks)))
 
 
 def _check_told_apart(items: Sequence[Training | Validation]) -> None:
@@ -207,12 +121,28 @@ def _validation(folder: Path) -> Validation:
 
 
 def _evaluation(folder: Path) -> Evaluation | None:
-    if not (folder / "metrics.json").exists():
-        return None  # still running
-    metrics = _json(folder / "metrics.json")
-    episodes = read_episodes(folder / "episodes.jsonl")
-    chosen = sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
-    return Evaluation(folder, metrics["policy"], metrics["run"], metrics, chosen)
+    if (metrics := _finished(folder)) is None:
+        return None
+    episodes = _counted(read_log(folder / BAGS.log, BAGS.episode), metrics)
+    return Evaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
+
+
+def _block_evaluation(folder: Path) -> BlockEvaluation | None:
+    if (metrics := _finished(folder)) is None:
+        return None
+    episodes = _counted(read_log(folder / BLOCKS.log, BLOCKS.episode), metrics)
+    return BlockEvaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
+
+
+def _finished(folder: Path) -> dict[str, Any] | None:
+    """The metrics; None while it is still running."""
+    path = folder / "metrics.json"
+    return _json(path) if path.exists() else None
+
+
+def _counted(episodes: Sequence[Logged], metrics: Mapping[str, Any]) -> list[Logged]:
+    """Those that the metrics are of, by their number."""
+    return sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
 
 
 def _json(path: Path) -> Any:

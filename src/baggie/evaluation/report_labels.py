@@ -10,7 +10,7 @@ import numpy as np
 from baggie.data import Dataset, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.pictures import TRUE, Mark, jpeg, marked
-from baggie.evaluation.report_data import Training
+from baggie.evaluation.report_items import Training
 from baggie.evaluation.report_values import Content, embedded
 from baggie.evaluation.validation_pictures import Scene
 from baggie.types import Attempt, Goal, Image

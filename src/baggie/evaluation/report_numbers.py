@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from baggie.evaluation import report_figures as figures
-from baggie.evaluation.report_data import Results
-from baggie.evaluation.report_values import Content, ms, percent
+from baggie.evaluation.report_items import Results, Validation
+from baggie.evaluation.report_svg import SERIES
+from baggie.evaluation.report_values import Content, ms, percent, with_interval
 
-PUBLISHED = ("as published, real arm", ("7.80 cm", "5.80 cm", "", "", "", ""))
+PUBLISHED = ("as published, real arm", {"pick error": "7.80 cm", "place error": "5.80 cm"})
 """Pick and place error of the published system (ResNet-18, 200 training images), for comparison."""
-_STATED = "pick and place inside their radius"
+_COLUMNS = (
+    "pick error",
+    "place error",
+    "success",
+    "Ravens' success",
+    "partial credit",
+    "bag to goal",
+    "decision",
+    "pick and place inside their radius",
+)
 
 
 def headline_tiles(results: Results, main: str) -> list[Content]:
@@ -23,42 +32,69 @@ def headline_tiles(results: Results, main: str) -> list[Content]:
             detail = f"median {own['median']:.2f}, worst {own['max']:.2f}"
             beside = [(name, f"{other['mean']:.2f} cm") for name, other in values.items()]
             tiles.append(_tile(f"{what} error, mean", f"{own['mean']:.2f}", "cm", detail, beside))
+    return [*tiles, *_bag_tiles(results, main), *_block_tiles(results, main)]
+
+
+def _bag_tiles(results: Results, main: str) -> list[Content]:
     conditions = next((e.conditions for e in results.evaluations if e.policy == main), "")
     # Beside it only what was put to the same test; the table of numbers has the rest.
     metrics = {e.policy: e.metrics for e in results.evaluations if e.conditions == conditions}
-    if main in metrics:
-        own = metrics.pop(main)
-        rate, distance = own["success"], own["distance_cm"]
-        others = metrics.items()
-        tiles.append(
-            _tile(
-                f"bags within {own['radius_cm']:g} cm",
-                f"{100 * rate['rate']:.0f}",
-                "%",
-                f"95% between {100 * rate['low']:.0f} and {100 * rate['high']:.0f}%, n = {rate['n']}",
-                [(name, f"{100 * other['success']['rate']:.0f}%") for name, other in others],
-            )
-        )
-        tiles.append(
-            _tile(
-                "bag to goal, median",
-                f"{distance['median']:.2f}",
-                "cm",
-                f"mean {distance['mean']:.2f}, worst {distance['max']:.2f}",
-                [(name, f"{other['distance_cm']['median']:.2f} cm") for name, other in others],
-            )
-        )
-        if decision := own.get("decision_ms"):
-            tiles.append(
-                _tile(
-                    "time to decide, median",
-                    f"{decision['median']:.0f}",
-                    "ms",
-                    f"95% under {decision['p95']:.0f} ms",
-                    [(name, ms(o["decision_ms"]["median"])) for name, o in others if "decision_ms" in o],
-                )
-            )
-    return tiles
+    if main not in metrics:
+        return []
+    own = metrics.pop(main)
+    distance, others = own["distance_cm"], metrics.items()
+    return [
+        _success_tile(f"bags within {own['radius_cm']:g} cm", "success", own, metrics),
+        _tile(
+            "bag to goal, median",
+            f"{distance['median']:.2f}",
+            "cm",
+            f"mean {distance['mean']:.2f}, worst {distance['max']:.2f}",
+            [(name, f"{other['distance_cm']['median']:.2f} cm") for name, other in others],
+        ),
+        *_decision_tile(own, metrics),
+    ]
+
+
+def _block_tiles(results: Results, main: str) -> list[Content]:
+    task = next((e.task for e in results.blocks if e.policy == main), None)
+    metrics = {e.policy: e.metrics for e in results.blocks if e.task == task}
+    if main not in metrics:
+        return []
+    own = metrics.pop(main)
+    done, others = own["partial_credit"], metrics.items()
+    return [
+        _success_tile(f"{task}, strictly done", "success", own, metrics),
+        _success_tile("done as Ravens counts", "ravens_success", own, metrics),
+        _tile(
+            "partial credit, mean",
+            f"{100 * done['mean']:.0f}",
+            "%",
+            f"median {100 * done['median']:.0f}%",
+            [(name, f"{100 * other['partial_credit']['mean']:.0f}%") for name, other in others],
+        ),
+        *_decision_tile(own, metrics),
+    ]
+
+
+def _success_tile(what: str, key: str, own: Content, others: Mapping[str, Content]) -> Content:
+    rate = own[key]
+    return _tile(
+        what,
+        f"{100 * rate['rate']:.0f}",
+        "%",
+        f"95% between {100 * rate['low']:.0f} and {100 * rate['high']:.0f}%, n = {rate['n']}",
+        [(name, percent(other[key])) for name, other in others.items()],
+    )
+
+
+def _decision_tile(own: Content, others: Mapping[str, Content]) -> list[Content]:
+    """Empty where nothing was decided."""
+    if not (decision := own.get("decision_ms")):
+        return []
+    beside = [(n, ms(o["decision_ms"]["median"])) for n, o in others.items() if "decision_ms" in o]
+    median, p95 = f"{decision['median']:.0f}", f"95% under {decision['p95']:.0f} ms"
+    return [_tile("time to decide, median", median, "ms", p95, beside)]
 
 
 def _tile(what: str, value: str, unit: str, detail: str, beside: list[tuple[str, str]]) -> Content:
@@ -67,45 +103,66 @@ def _tile(what: str, value: str, unit: str, detail: str, beside: list[tuple[str,
 
 def numbers(results: Results, policies: Sequence[str]) -> Content:
     """The table of all policies, a row each, without empty columns, and what to say about it."""
-    columns = ["pick error", "place error", "success", "bag to goal", "decision", _STATED]
-    validations = {v.policy: v for v in results.validations}
-    evaluations = {e.policy: e.metrics for e in results.evaluations}
-    rows: list[Content] = []
-    for number, policy in enumerate(policies):
-        cells = [""] * len(columns)
-        if policy in validations:
-            metrics = validations[policy].metrics
-            errors = metrics[validations[policy].reference]
-            cells[:2] = [f"{errors[f'{what}_error_cm']['mean']:.2f} cm" for what in ("pick", "place")]
-            cells[4] = ms(metrics["decision_ms"]["median"])
-            by_reference = metrics.get("confidence", {})
-            stated = by_reference.get("labels", {}) | by_reference.get(validations[policy].reference, {})
-            cells[5] = " and ".join(percent(rate) for key, rate in stated.items() if key.endswith("_within"))
-        if policy in evaluations:
-            metrics = evaluations[policy]
-            rate = metrics["success"]
-            done = round(rate["rate"] * rate["n"])
-            cells[2] = f"{done} of {rate['n']} ({100 * rate['low']:.0f} to {100 * rate['high']:.0f}%)"
-            cells[3] = f"{metrics['distance_cm']['mean']:.2f} cm"
-            if "decision_ms" in metrics:
-                cells[4] = ms(metrics["decision_ms"]["median"])
-        series, kind = number % len(figures.SERIES) + 1, "" if number else "first"
-        rows.append({"name": policy, "series": series, "kind": kind, "cells": cells})
-    if validations:
+    cells: dict[str, dict[str, str]] = {policy: {} for policy in policies}
+    for validation in results.validations:
+        cells[validation.policy] |= _of_validation(validation)
+    for tried in [*results.evaluations, *results.blocks]:
+        cells[tried.policy] |= _of_evaluation(tried.metrics)
+    rows: list[Content] = [
+        {
+            "name": policy,
+            "series": number % len(SERIES) + 1,
+            "kind": "" if number else "first",
+            "cells": cells[policy],
+        }
+        for number, policy in enumerate(policies)
+    ]
+    if results.validations and results.of_bags:
         name, published = PUBLISHED
         rows.append({"name": name, "series": None, "kind": "published", "cells": published})
-    references = {v.reference for v in validations.values()}
-    against = "the simulator's truth" if references == {"truth"} else "recorded labels"
-    radii = sorted({metrics["radius_cm"] for metrics in evaluations.values()})
-    about = [f"Errors are means over held-out attempts, against {against}."] if validations else []
-    if any(row["cells"][5] for row in rows):
-        about.append("A plan states radii; picks and places should be inside theirs nine times of ten.")
-    if radii:
-        within = " or ".join(f"{radius:g}" for radius in radii)
-        about.append(
-            f"Success is a bag within {within} cm of its goal (95% Wilson interval); decisions are medians."
-        )
-    filled = [column for column in range(len(columns)) if any(row["cells"][column] for row in rows)]
+    columns = [column for column in _COLUMNS if any(row["cells"].get(column) for row in rows)]
     for row in rows:
-        row["cells"] = [row["cells"][column] for column in filled]
-    return {"columns": [columns[c] for c in filled], "rows": rows, "numbers_about": " ".join(about)}
+        row["cells"] = [row["cells"].get(column, "") for column in columns]
+    return {"columns": columns, "rows": rows, "numbers_about": _about(results, _COLUMNS[-1] in columns)}
+
+
+def _of_validation(validation: Validation) -> dict[str, str]:
+    metrics = validation.metrics
+    errors, by_reference = metrics[validation.reference], metrics.get("confidence", {})
+    stated = by_reference.get("labels", {}) | by_reference.get(validation.reference, {})
+    inside = " and ".join(percent(rate) for key, rate in stated.items() if key.endswith("_within"))
+    return {
+        "pick error": f"{errors['pick_error_cm']['mean']:.2f} cm",
+        "place error": f"{errors['place_error_cm']['mean']:.2f} cm",
+        "decision": ms(metrics["decision_ms"]["median"]),
+        _COLUMNS[-1]: inside,
+    }
+
+
+def _of_evaluation(metrics: Content) -> dict[str, str]:
+    """Of a task of any kind: what it has of these."""
+    found = {"success": with_interval(metrics["success"])}
+    if "ravens_success" in metrics:
+        found["Ravens' success"] = with_interval(metrics["ravens_success"])
+        found["partial credit"] = f"{100 * metrics['partial_credit']['mean']:.0f}%"
+    if "distance_cm" in metrics:
+        found["bag to goal"] = f"{metrics['distance_cm']['mean']:.2f} cm"
+    if "decision_ms" in metrics:
+        found["decision"] = ms(metrics["decision_ms"]["median"])
+    return found
+
+
+def _about(results: Results, stated: bool) -> str:
+    references = {v.reference for v in results.validations}
+    against = "the simulator's truth" if references == {"truth"} else "recorded labels"
+    about = [f"Errors are means over held-out attempts, against {against}."] if references else []
+    if stated:
+        about.append("A plan states radii; picks and places should be inside theirs nine times of ten.")
+    if radii := sorted({e.metrics["radius_cm"] for e in results.evaluations}):
+        within = " or ".join(f"{radius:g}" for radius in radii)
+        about.append(f"Success is a bag within {within} cm of its goal.")
+    if results.blocks:
+        about.append("Success with blocks is strict; partial credit is a mean of what Ravens rewards.")
+    if radii or results.blocks:
+        about.append("Intervals are Wilson's, of 95%; decisions are medians.")
+    return " ".join(about)

@@ -9,22 +9,35 @@ from itertools import cycle
 import numpy as np
 
 from baggie.evaluation import report_figures as figures
+from baggie.evaluation.report_blocks import blocks
 from baggie.evaluation.report_closed_loop import WORST, closed_loop, videos
-from baggie.evaluation.report_data import Evaluation, Results, Series, Training, Validation
+from baggie.evaluation.report_items import BlockEvaluation, Evaluation, Results, Series, Training, Validation
 from baggie.evaluation.report_labels import labels
 from baggie.evaluation.report_numbers import headline_tiles, numbers
-from baggie.evaluation.report_values import Content, data_uri, data_uris, duration, figure
+from baggie.evaluation.report_svg import SERIES
+from baggie.evaluation.report_values import (
+    Content,
+    data_uri,
+    data_uris,
+    duration,
+    figure,
+    in_numbers,
+    percent,
+)
 from baggie.evaluation.results import origin_lines, provenance
+
+BAGS_TITLE, BLOCKS_TITLE = "Bags onto goals", "Blocks into place"
 
 
 def content(results: Results) -> Content:
-    """Every variable of `report.html.j2` but the title."""
+    """Every variable of `report.html.j2`."""
     policies = results.policies()
-    colors = dict(zip(policies, cycle(figures.SERIES), strict=False))
+    colors = dict(zip(policies, cycle(SERIES), strict=False))
     main = policies[0]
     sections = {
-        "videos": videos(results.evaluations, main),
+        "videos": videos([*results.evaluations, *results.blocks], main),
         "closed_loop": closed_loop(results.evaluations, main, colors),
+        "blocks": blocks(results.blocks, main, colors),
         "validation": _validation(results.validations, main, colors),
         "heat": _heat(results, main),
         "learning": _learning(results.trainings),
@@ -34,6 +47,7 @@ def content(results: Results) -> Content:
         "videos": ("video", "Video"),
         "numbers": ("numbers", "Numbers"),
         "closed_loop": ("closed-loop", "Closed loop"),
+        "blocks": ("blocks", "Blocks"),
         "validation": ("validation", "Held-out attempts"),
         "heat": ("heat", "Heat maps"),
         "learning": ("learning", "Learning"),
@@ -44,6 +58,7 @@ def content(results: Results) -> Content:
         **sections,
         **numbers(results, policies),
         "tiles": headline_tiles(results, main),
+        "title": BAGS_TITLE if results.of_bags or not results.blocks else BLOCKS_TITLE,
         "lead": _lead(results, main),
         "contents": [name for key, name in names.items() if sections.get(key, True)],
         "origins": _origins(results),
@@ -58,11 +73,13 @@ def _lead(results: Results, main: str) -> str:
             said.append(f"{main} was trained in {duration(training.metrics['train_s'])}.")
     for evaluation in results.evaluations:
         if evaluation.policy == main:
-            rate = evaluation.metrics["success"]
-            done = round(rate["rate"] * rate["n"])
-            radius = evaluation.metrics["radius_cm"]
+            done, radius = in_numbers(evaluation.metrics["success"]), evaluation.metrics["radius_cm"]
             who = "It" if said else main
-            said.append(f"{who} moved {done} of {rate['n']} bags to within {radius:g} cm of goals new to it.")
+            said.append(f"{who} moved {done} bags to within {radius:g} cm of goals new to it.")
+    for tried in results.blocks:
+        if tried.policy == main:
+            who = "It" if said else main
+            said.append(f"{who} did {tried.task} in {in_numbers(tried.metrics['success'])} scenes new to it.")
     return " ".join(said) or f"Results of {main}."
 
 
@@ -99,9 +116,16 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
         cases.append({"number": item["attempt_id"], "picture": uris[0] if uris else "", "caption": caption})
     held_out = first.metrics["held_out"]
     truth = "the simulator's truth" if first.reference == "truth" else "the recorded poses"
+    about = f"{held_out['attempts']} attempts, {held_out['which']}; errors against {truth}."
+    if counted := first.metrics.get("would_count"):
+        picks, places = (percent(counted[what]) for what in ("pick", "place"))
+        about += (
+            " These are what the demonstrator chose, where other blocks and slots may be as right: "
+            f"{picks} of the picks and {places} of the places would count, within 1 cm and 15 degrees of any of them."
+        )
     return {
         "main": first.policy,
-        "about": f"{held_out['attempts']} attempts, {held_out['which']}; errors against {truth}.",
+        "about": about,
         "figures": [*vectors, *spread],
         "cases": cases,
     }
@@ -118,7 +142,7 @@ def _heat(results: Results, main: str) -> list[Content]:
     for evaluation in results.evaluations:
         if evaluation.policy == main:
             worst = sorted(evaluation.episodes, key=lambda e: e.distance_cm, reverse=True)[:6]
-            items += [(evaluation.picture(e, "heat"), f"episode {e.episode}") for e in worst]
+            items += [(evaluation.picture(e.episode, "heat"), f"episode {e.episode}") for e in worst]
     return [{"uri": data_uri(path), "caption": caption} for path, caption in items if path.exists()]
 
 
@@ -145,7 +169,8 @@ def _learning(trainings: Sequence[Training]) -> Content | None:
 
 def _origins(results: Results) -> list[Content]:
     origins = []
-    kinds = {Training: "Training", Validation: "Validation", Evaluation: "Closed loop"}
+    loop = "Closed loop"
+    kinds = {Training: "Training", Validation: "Validation", Evaluation: loop, BlockEvaluation: loop}
     for item in results.items():
         if origin := item.metrics.get("provenance"):
             origins.append({"name": f"{kinds[type(item)]}, {item.policy}", "lines": origin_lines(origin)})

@@ -45,3 +45,13 @@ def embedded(content: bytes, suffix: str) -> str:
 def percent(rate: dict[str, Any]) -> str:
     """A `Rate` in words."""
     return f"{100 * rate['rate']:.0f}%"
+
+
+def in_numbers(rate: dict[str, Any]) -> str:
+    """A `Rate` as a count: `97 of 100`."""
+    return f"{round(rate['rate'] * rate['n'])} of {rate['n']}"
+
+
+def with_interval(rate: dict[str, Any]) -> str:
+    """The same with its 95% interval: `97 of 100 (92 to 99%)`."""
+    return f"{in_numbers(rate)} ({100 * rate['low']:.0f} to {100 * rate['high']:.0f}%)"

@@ -6,14 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baggie.data import open_dataset
+from baggie.data import Dataset, open_dataset
 from baggie.evaluation.heldout import held_out
 from baggie.evaluation.predictions import measure, predict
 from baggie.evaluation.results import provenance, write_json
 from baggie.evaluation.subjects import open_policy
 from baggie.evaluation.validation_pictures import Scene, save_pictures
+from baggie.evaluation.would_count import would_count
 
 WORST = 10
+CAMERA, HEIGHT_MAPS = "camera", "height maps"
+"""What pictures a policy was measured on."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +41,27 @@ class ValidateOptions:
 def validate(options: ValidateOptions) -> dict[str, Any]:
     """Measure, write `metrics.json`, `predictions.json` and pictures of the ten worst; returns the metrics.
 
-    Pick and place errors are against `"labels"` (poses the arm was really at) and, where the recording has
-    it, against `"truth"` (the simulator's: the pick against the bag's place before, the place against that
-    after). Raises `BaggieError` when there is nothing to measure on, or the policy can tell nothing.
+    Pick and place errors are against `"labels"` (poses the arm was really at) and, where the recording has it, against
+    `"truth"` (the simulator's: the pick against the bag's place before, the place against that after). Of a task with
+    several steps the labels are what the demonstrator chose; `"would_count"`, where the recording tells, is the share
+    of plans that would have been as right. Raises `BaggieError` when there is nothing to measure on, or the policy can
+    tell nothing.
     """
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     chosen = held_out(options.policy, dataset, options.last)
-    predictions = predict(policy, (dataset[index] for index in chosen.indices), len(chosen.indices))
+    symmetry = symmetry_of(dataset)
+    attempts = (dataset[index] for index in chosen.indices)
+    predictions = predict(policy, attempts, len(chosen.indices), symmetry)
+    counted = would_count(dataset, predictions)
     metrics = {
         "policy": policy.name,
         "run": Path(options.policy).name,
         "held_out": {"attempts": len(predictions), "which": chosen.which},
+        "pictures": CAMERA if dataset.grid is None else HEIGHT_MAPS,
+        "symmetry": symmetry,
         **measure(predictions),
+        **({"would_count": counted} if counted else {}),
         "provenance": provenance(),
     }
     by_error = sorted(
@@ -65,3 +76,12 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     write_json(options.out / "predictions.json", {"worst": worst, "predictions": records})
     write_json(options.out / "metrics.json", metrics)
     return metrics
+
+
+def symmetry_of(dataset: Dataset) -> int:
+    """How often a turn what is moved looks the same, as the recording says.
+
+    Where it does not: 4 for bags, of which no recording says it; 1, none, in height maps, as in training.
+    """
+    unknown = 4 if dataset.grid is None else 1
+    return int(dataset.collection.get("object_symmetry", unknown))

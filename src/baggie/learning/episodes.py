@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from baggie.data.annotation import did_its_task
 from baggie.errors import DataError
 from baggie.learning.split import Split, check_alike
 from baggie.types import Attempt
 
 RULE = "episodes that did their whole task, by attempt id: the first train, the next measure; of them what succeeded"
-_DONE = 1 - 1e-6
 
 
 def split_episodes(attempts: Sequence[Attempt], train: int, val: int) -> Split:
@@ -43,7 +43,6 @@ def split_episodes(attempts: Sequence[Attempt], train: int, val: int) -> Split:
 
 def _demonstration(episode: list[Attempt]) -> list[Attempt]:
     """What of an episode can teach; nothing where the task was not done."""
-    rewards = [attempt.reward for attempt in episode if attempt.reward is not None]
-    if rewards and sum(rewards) < _DONE:
+    if not did_its_task(attempt.reward for attempt in episode):
         return []
     return [attempt for attempt in episode if attempt.outcome.success]

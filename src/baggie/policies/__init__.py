@@ -14,12 +14,13 @@ if TYPE_CHECKING:
     from baggie.policies.color_mask import ColorMaskPolicy
     from baggie.policies.keypoint import KeypointPolicy
     from baggie.policies.learned import LearnedPolicy
-    from baggie.policies.oracle import OraclePolicy
+    from baggie.policies.oracle import DemonstratorPolicy, OraclePolicy
     from baggie.policies.regression import RegressionPolicy
     from baggie.policies.transporter.policy import TransporterPolicy
 
 __all__ = [
     "ColorMaskPolicy",
+    "DemonstratorPolicy",
     "KeypointPolicy",
     "LearnedPolicy",
     "OraclePolicy",
@@ -31,6 +32,7 @@ __all__ = [
 
 _MODULES = {
     "ColorMaskPolicy": "color_mask",
+    "DemonstratorPolicy": "oracle",
     "KeypointPolicy": "keypoint",
     "LearnedPolicy": "learned",
     "OraclePolicy": "oracle",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
@@ -41,3 +42,20 @@ class OraclePolicy(Policy):
         pick_yaw = wrap_angle(bag.yaw, turn) if turn else 0.0
         place_yaw = pick_yaw + (wrap_angle(end.yaw - pick_yaw, turn) if turn else 0.0)
         return Plan(PickPlace(replace(bag, yaw=pick_yaw), replace(end, yaw=place_yaw)))
+
+
+class DemonstratorPolicy(Policy):
+    """Does what a demonstrator, who knows where everything is, does next. For evaluation in simulation only."""
+
+    name = OraclePolicy.name
+
+    def __init__(self, next_action: Callable[[], PickPlace | None]) -> None:
+        """`next_action` is asked at every plan; None when all is done."""
+        self.next_action = next_action
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """The next pick and place; the picture is not looked at. Raises `BaggieError` when nothing is left to do."""
+        action = self.next_action()
+        if action is None:
+            raise BaggieError("expected something left to do, but the task is done; begin another scene")
+        return Plan(action)

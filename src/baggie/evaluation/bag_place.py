@@ -1,0 +1,91 @@
+"""The closed loop with bags: one bag, one goal, and where the bag ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from typing import Any
+
+from rich.console import Console
+
+from baggie.collect.calibrate import calibrate_into
+from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.evaluation.bench import Bench
+from baggie.evaluation.card_map import card_map
+from baggie.evaluation.closed_loop_metrics import measure
+from baggie.evaluation.episode import Episode, run_episode
+from baggie.evaluation.kind import Kind
+from baggie.evaluation.options import EvaluateOptions
+from baggie.policies import ColorMaskPolicy
+from baggie.policies.color_mask import CONFIG_FILE
+from baggie.seeds import EVALUATION
+
+
+def open_simulated_bench(options: EvaluateOptions) -> Bench:
+    """The simulated cell and the policy named; imported late, because MuJoCo takes its time."""
+    from baggie.evaluation.simulated_bench import open_bench  # noqa: PLC0415
+
+    return open_bench(options)
+
+
+def _run(bench: Bench, number: int, options: EvaluateOptions) -> Episode:
+    return run_episode(
+        bench,
+        number,
+        (EVALUATION, options.seed),
+        goal_kind=options.goal,
+        retries=options.retries,
+        out=options.out / "episodes",
+        film=number < options.film,
+    )
+
+
+def _measure(episodes: Sequence[Episode], options: EvaluateOptions) -> dict[str, Any]:
+    return measure(episodes, options.radius_cm)
+
+
+def _note(episode: Episode) -> str:
+    return f"last {episode.distance_cm:.1f} cm from its goal"
+
+
+def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
+    raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
+    return {"scenery": options.scenery, "goal": options.goal, **raised, "retries": options.retries}
+
+
+def _card_raised(options: EvaluateOptions, console: Console) -> bool:
+    """Whether a map of the cell is, or will be, known that raises a card's corners to the bag's height."""
+    will_be = options.policy == ColorMaskPolicy.name and options.calibration is None
+    if will_be or card_map(options) is not None:
+        return True
+    console.print(
+        "warning: no calibration of this cell tells how much lower a card lies than a bag's middle; its corners are "
+        "taken as seen, some millimetres off at the picture's edge; give --calibration a recording of the cell"
+    )
+    return False
+
+
+def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
+    """Calibrate the cell for `color-mask`, once for all processes, unless a calibration is given."""
+    folder = options.out / CALIBRATION_FOLDER
+    if options.policy != ColorMaskPolicy.name or options.calibration or (folder / CONFIG_FILE).exists():
+        return
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
+
+    with (
+        console.status("calibrating the picture to the robot"),
+        closing(open_simulated(options.cell)) as cell,
+    ):
+        calibrate_into(folder, cell, options.seed)
+
+
+BAGS = Kind(
+    log="episodes.jsonl",
+    episode=Episode,
+    open_bench=open_simulated_bench,
+    run=_run,
+    measure=_measure,
+    note=_note,
+    conditions=_conditions,
+    prepare=_calibrate_if_needed,
+)
