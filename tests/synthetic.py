@@ -12,6 +12,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
 from baggie.types import Attempt, Failure, Image, Intrinsics, Observation, Outcome, PickPlace, Truth
 
@@ -37,6 +39,19 @@ def _camera_from_base() -> tuple[FloatArray, FloatArray]:
     rotation = np.stack([right, np.cross(forward, right), forward])
     vector = np.asarray(cv2.Rodrigues(rotation)[0].ravel(), float)
     return vector, np.asarray(-rotation @ _CAMERA_XYZ)
+
+
+def image_to_robot(size: tuple[int, int] = (1280, 720)) -> ImageToRobot:
+    """The map of the drawn camera as a collector would have fitted it, right at half a bag's height."""
+    at = [np.linspace(0.3, 0.7, 4), np.linspace(-0.3, 0.3, 4), [0.07, 0.17]]
+    points = np.stack(np.meshgrid(*at), axis=-1).reshape(-1, 3)
+    return ImageToRobot.fit(
+        to_pixels(points, size),
+        points,
+        CameraIdentity("drawn", *size),
+        intrinsics=intrinsics(size),
+        height_m=BAG_HEIGHT_M / 2,
+    )
 
 
 def intrinsics(size: tuple[int, int] = (1280, 720)) -> Intrinsics:
@@ -83,6 +98,20 @@ def make_attempt(
     after = _random_pose(rng)
     while after.distance(before) < 0.2:
         after = _random_pose(rng)
+    return carried(attempt_id, rng, before, after, size, failure=failure, depth=depth)
+
+
+def carried(
+    attempt_id: int,
+    rng: np.random.Generator,
+    before: PlanarPose,
+    after: PlanarPose,
+    size: tuple[int, int] = (1280, 720),
+    *,
+    failure: Failure | None = None,
+    depth: bool = True,
+) -> Attempt:
+    """An attempt in which a bag was carried from one pose to another; it stayed where it was when it failed."""
     executed = PickPlace(_noisy(before, rng), _noisy(after, rng))
     commanded = PickPlace(_noisy(executed.pick, rng), _noisy(executed.place, rng))
     ends_at = before if failure else after

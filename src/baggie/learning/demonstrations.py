@@ -15,6 +15,8 @@ from baggie.grid import Grid
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.types import Attempt
 
+_NOT_TURNED_RAD = 1e-6
+
 
 @dataclass(frozen=True)
 class Demonstrations:
@@ -62,6 +64,11 @@ class Demonstrations:
     def common_symmetry(self) -> int:
         """How often a turn everything that was picked looks the same: the greatest common divisor; 0 divides by all."""
         return int(np.gcd.reduce(self.symmetry))
+
+    @property
+    def turned_to_pick(self) -> bool:
+        """Whether the hand was turned to pick, as one with fingers has to be; a suction cup picks at yaw 0."""
+        return bool((np.abs(self.poses[:, 2]) > _NOT_TURNED_RAD).any())
 
 
 def read_demonstrations(

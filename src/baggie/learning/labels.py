@@ -121,7 +121,7 @@ class Labels:
             near = _KEPT * _usual(off) / np.maximum(np.nan_to_num(off), 1e-9)
             weight = (EYE_M / noise) ** 2 * np.minimum(1.0, near) ** 2
         yaw = np.array([action.pick.yaw for action in executed])
-        in_picture, long = _directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
+        in_picture, long = directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
         turned = np.abs(wrap_angle(in_picture - yaw, np.pi / 2))
         doubts = [
             Doubt(attempts[i].attempt_id, ("pick", "place")[k], 1000 * float(off_said[i, k]))
@@ -194,7 +194,7 @@ def _mapped(to_robot: PlanarMap, points: FloatArray) -> FloatArray:
         return np.asarray(to_robot(torch.from_numpy(points).float()).double().numpy())
 
 
-def _directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Rectangles `(N, 4, 2)` on the table -> the direction of their longer sides `(N,)`, and which are long."""
     sides = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(sides, axis=2)

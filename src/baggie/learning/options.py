@@ -23,7 +23,7 @@ _OF = {
 _WHY = {
     "keypoint": "which looks at a camera's own pictures",
     "regression": "which is kept as published",
-    "transporter": "which looks at height maps",
+    "transporter": "which looks from straight above",
 }
 
 
@@ -41,7 +41,9 @@ class TrainOptions:
     resume.
     """
     policy: Literal["keypoint", "regression", "transporter"] = "keypoint"
-    """`keypoint` is ours; `regression` the published baseline; `transporter` for precision, on height maps."""
+    """`keypoint` is ours; `regression` the published baseline; `transporter` for precision, on height maps or
+    a camera's pictures with a map to the robot.
+    """
     train: int = 200
     """How many attempts to learn from: the first successful ones, by attempt id. transporter: how many episodes."""
     val: int = 50
@@ -75,10 +77,11 @@ class TrainOptions:
     """transporter: `fast` is ours; `paper` has the published sizes and takes 200 times as long a map."""
     symmetry: int | None = None
     """transporter: how often a turn all that is picked looks the same, 4 for square blocks, 0 at any angle; as the
-    recording says unless given, and 1 where it says nothing.
+    recording says unless given. Where it says nothing: by the boxes in a camera's pictures 4, or 2 where most are long;
+    else 1.
     """
     pick_yaw: bool = False
-    """transporter: whether a gripper has to be turned to pick; a suction cup has not."""
+    """transporter: whether a gripper has to be turned to pick; a suction cup has not. Implied where it was turned."""
     save_every_s: float = 30.0
     """Seconds between saves of the state: what a kill can cost."""
 

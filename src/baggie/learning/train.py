@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from accelerate import Accelerator
 from rich.console import Console
@@ -25,6 +26,7 @@ from baggie.learning.loop import Training
 from baggie.learning.measure import measure
 from baggie.learning.options import TrainOptions
 from baggie.learning.recipe import Recipe
+from baggie.learning.rectified import from_camera, rectified, rectifier_for, seen_symmetry, with_turns
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import RULE, Split
@@ -55,14 +57,14 @@ def train(
     options.check()
     accelerator = _accelerator(options.device)
     recorded = open_dataset(options.data) if attempts is None else attempts
-    of_episodes = options.policy == TransporterPolicy.name
+    of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
     if isinstance(recorded, Dataset) and options.symmetry is None:
         options = replace(options, symmetry=recorded.collection.get("object_symmetry"))
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = options.steps or recipe.steps
-    recipe.policy.training = _record(options, split, steps)
+    recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
@@ -110,16 +112,27 @@ def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
             attempts, options.goal_style, options.goal_color, options.weights, options.statistics
         )
     if options.policy == TransporterPolicy.name:
-        painted = GoalInput("painted", options.goal_style, options.goal_color)
-        shown = read_demonstrations(attempts, 1 if options.symmetry is None else options.symmetry, painted)
-        return TransporterRecipe(shown, TransporterOptions(options.preset, pick_yaw=options.pick_yaw))
+        return _transporter_recipe(options, attempts)
     goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
     return KeypointRecipe(
         attempts, KeypointOptions(options.backbone, options.weights, goal_input, Changes(options.new_looks))
     )
 
 
-def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
+def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> TransporterRecipe:
+    painted = GoalInput("painted", options.goal_style, options.goal_color)
+    chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw)
+    symmetry, rectifier = options.symmetry, None
+    if from_camera(attempts):
+        rectifier = rectifier_for(attempts, options.data)
+        attempts = [rectified(attempt, rectifier) for attempt in attempts]
+        symmetry = seen_symmetry(attempts) if symmetry is None else symmetry
+        attempts = with_turns(attempts, np.random.default_rng(options.seed))
+    shown = read_demonstrations(attempts, 1 if symmetry is None else symmetry, painted)
+    return TransporterRecipe(shown, chosen, rectifier)
+
+
+def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[str, Any]:
     """What `config.yaml` says of the training: all that decides its result."""
     return {
         "data": str(options.data),
@@ -128,7 +141,7 @@ def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
         "weights": options.weights,
         "new_looks": options.new_looks,
         "split": {
-            "rule": EPISODES_RULE if options.policy == TransporterPolicy.name else RULE,
+            "rule": rule,
             "train": [attempt.attempt_id for attempt in split.train],
             "val": [attempt.attempt_id for attempt in split.val],
         },

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim import Adam, Optimizer
 
+from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import FloatArray, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
@@ -42,7 +43,7 @@ class TransporterOptions:
     preset: Preset = "fast"
     rotations: int = 36
     pick_yaw: bool = False
-    """Whether a gripper has to be turned to pick."""
+    """Whether a gripper has to be turned to pick; so it is where it was in any demonstration."""
     batch: int | None = None
     """Maps a step; by default 4 for fast, 1 for paper, as published."""
     moves: Moves = field(default_factory=Moves)
@@ -56,16 +57,24 @@ class TransporterRecipe:
     max_gradient: ClassVar[float | None] = 10.0
     policy: TransporterPolicy
 
-    def __init__(self, demonstrations: Demonstrations, options: TransporterOptions | None = None) -> None:
-        """Raises `BaggieError` for options out of range."""
+    def __init__(
+        self,
+        demonstrations: Demonstrations,
+        options: TransporterOptions | None = None,
+        rectifier: Rectifier | None = None,
+    ) -> None:
+        """`rectifier`: with which the maps were made of one camera's pictures, where they were.
+
+        Raises `BaggieError` for options out of range.
+        """
         self.options = options = options or TransporterOptions()
+        pick_yaw = options.pick_yaw or demonstrations.turned_to_pick
         config = TransporterConfig(
-            options.preset, options.rotations, demonstrations.common_symmetry, options.pick_yaw
+            options.preset, options.rotations, demonstrations.common_symmetry, pick_yaw
         )
         network = TransporterNet(config)
-        self.policy = TransporterPolicy(
-            network, demonstrations.grid, demonstrations.cell, demonstrations.goal_input
-        )
+        shown = demonstrations
+        self.policy = TransporterPolicy(network, shown.grid, shown.cell, shown.goal_input, rectifier)
         self._maps = MovedMaps(demonstrations, options.moves)
         self._symmetry = demonstrations.symmetry
         self._batch = options.batch or _BATCH[options.preset]

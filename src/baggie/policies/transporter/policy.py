@@ -1,4 +1,4 @@
-"""The `transporter` policy: from the table as seen from straight above to pick and place."""
+"""The `transporter` policy: from the table as seen from straight above, or rectified to that, to pick and place."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.grid import Grid
+from baggie.policies.as_trained import as_trained
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.transporter.config import TransporterConfig
@@ -24,36 +26,48 @@ from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked
 class TransporterPolicy(LearnedPolicy):
     """Looks at orthographic pictures with height (`baggie.vision.height_map`): cameras with depth, and calibrated.
 
-    Maps may be of any size, with pixels as large as those it was trained on.
+    Maps may be of any size, with pixels as large as those it was trained on. With a `rectifier` it looks at one
+    camera's own pictures, which it rectifies to its grid; then everything has a height of 0.
     """
 
     name = "transporter"
     network: TransporterNet
 
     def __init__(
-        self, network: TransporterNet, grid: Grid, cell: int, goal_input: GoalInput | None = None
+        self,
+        network: TransporterNet,
+        grid: Grid,
+        cell: int,
+        goal_input: GoalInput | None = None,
+        rectifier: Rectifier | None = None,
     ) -> None:
-        """`grid`: of its training maps; `goal_input`: how goals are painted, None for a task that marks no goal."""
+        """`grid`: of its training maps; `goal_input`: how goals are painted, None for a task that marks no goal.
+
+        `rectifier`: to this grid, of the training pictures; None for one that is given height maps.
+        """
         rows, columns = grid.shape
-        super().__init__(network, (columns, rows), cell)
-        self.grid, self.goal_input = grid, goal_input
+        super().__init__(network, (columns, rows) if rectifier is None else rectifier.size, cell)
+        self.grid, self.goal_input, self.rectifier = grid, goal_input, rectifier
 
     def model_config(self) -> dict[str, Any]:
-        """The network's kind, the grid, and how goals get into its input."""
+        """The network's kind, the grid, how goals get into its input, and what a camera sees of the grid."""
         grid = {"x": list(self.grid.x), "y": list(self.grid.y), "z": list(self.grid.z)}
         return {
             "network": self.network.config.config(),
             "grid": {**grid, "pixel_m": self.grid.pixel_m},
             "goal": None if self.goal_input is None else self.goal_input.config(),
+            "camera": None if self.rectifier is None else self.rectifier.config(),
         }
 
     @classmethod
     def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
-        """The policy with an untrained network; the picture's size follows from the grid."""
+        """The policy with an untrained network. Of height maps, the picture's size follows from the grid."""
         x, y, z = (tuple(map(float, model["grid"][axis])) for axis in "xyz")
         grid = Grid(x, y, z, float(model["grid"]["pixel_m"]))  # type: ignore[arg-type]  # pairs, of floats
         goal_input = None if model["goal"] is None else GoalInput.of(model["goal"])
-        return cls(TransporterNet(TransporterConfig.of(model["network"])), grid, cell, goal_input)
+        camera = model["camera"]
+        rectifier = None if camera is None else Rectifier.from_config(camera, picture_size, grid)
+        return cls(TransporterNet(TransporterConfig.of(model["network"])), grid, cell, goal_input, rectifier)
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place, metres and radians in the robot's base frame.
@@ -61,12 +75,15 @@ class TransporterPolicy(LearnedPolicy):
         A suction cup picks at yaw 0; the place's yaw is the pick's and the turn between them. Of the angles that look
         the same (`TransporterConfig.symmetry`) the turn is the least, and so is a gripper's yaw at the pick. Confidence
         is the share of the heat maps' weight within two cells of their peaks, the smaller of the two: among things that
-        are as good to pick it is shared. A goal is painted into the colours as in training.
+        are as good to pick it is shared. A goal is painted into the colours as in training. Views are of the whole map,
+        or over the camera's own picture where that was rectified.
         Raises `BaggieError` where there is no height map, one with other pixels than it was trained on, or no goal
-        where it needs one.
+        where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
+        goal leaves it or the grid.
         """
-        grid, height = self._checked(observation)
-        color = self.painted(observation.color, goal)
+        seen, goal = self._rectified(observation, goal)
+        grid, height = self._checked(seen)
+        color = self.painted(seen.color, goal)
         decision = self.decide(color, height)
         pick_xy, place_xy = (
             grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)
@@ -77,6 +94,8 @@ class TransporterPolicy(LearnedPolicy):
         where = {"pick": decision.picks[0], "place": decision.places[0]}
         sure = min(float(scores.share()[0]) for scores in where.values())
         views = {name: _over_map(scores, height.shape) for name, scores in where.items()}
+        if self.rectifier is not None:
+            views = {name: self.rectifier.over_picture(view) for name, view in views.items()}
         return Plan(PickPlace(pick, place), min(max(sure, 0.0), 1.0), views=views)
 
     def painted(self, color: Image, goal: Goal | None) -> Image:
@@ -95,6 +114,20 @@ class TransporterPolicy(LearnedPolicy):
         self.network.eval()
         with torch.inference_mode():
             return self.network.decide(colors.to(self.device), heights.to(self.device))
+
+    def _rectified(self, observation: Observation, goal: Goal | None) -> tuple[Observation, Goal | None]:
+        """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""
+        if self.rectifier is None:
+            return observation, goal
+        picture, goal = as_trained(observation, marked(goal), self.picture_size)
+        if not self.rectifier.contains(goal.corners):
+            (u, v), grid = goal.center, self.grid
+            raise BaggieError(
+                f"expected a goal on the part of the table it was trained on, x {grid.x[0]:.2f} to {grid.x[1]:.2f} m "
+                f"and y {grid.y[0]:.2f} to {grid.y[1]:.2f} m, got one at pixel ({u:.0f}, {v:.0f}) that leaves it; "
+                "choose one nearer to the workspace's middle, or collect there"
+            )
+        return self.rectifier.observation(picture), self.rectifier.goal(goal)
 
     def _checked(self, observation: Observation) -> tuple[Grid, NDArray[np.float32]]:
         grid, height = observation.grid, observation.height
