@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
 from baggie.workcell.arm import Arm, ArmInfo, hand_pose
+from baggie.workcell.watchdog import Watchdog
 
 _STRAIGHT_M = 0.005
 """A motion that leads less far aside than this is straight up or down."""
@@ -47,6 +48,8 @@ class GuardedArm:
         self._arm = arm
         self.limits = limits
         self.info: ArmInfo = arm.info
+        self.watchdog: Watchdog | None = None
+        """Given one, motions are stopped when it barks; then they raise `CameraError`."""
 
     def check(self, pose: PlanarPose | ToolPose, name: str = "tool") -> None:
         """Raise `LimitError` unless the pose is allowed; a planar pose is one at table height."""
@@ -78,7 +81,7 @@ class GuardedArm:
         self.check(target)
         self._check_way(target)
         self._check_speed(speed_m_s)
-        with self._stop_when_interrupted():
+        with self._motion():
             return self._arm.move_to(target, speed_m_s)
 
     def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
@@ -87,7 +90,7 @@ class GuardedArm:
         self.check(ToolPose(here.x, here.y, z_min, here.yaw))
         self._check_speed(speed_m_s)
         self._check_at_most("contact force", force_n, self.limits.max_contact_force_n, "N")
-        with self._stop_when_interrupted():
+        with self._motion():
             return self._arm.lower_until_contact(z_min, speed_m_s, force_n)
 
     def move_gripper(self, width_m: float) -> float:
@@ -96,7 +99,7 @@ class GuardedArm:
             raise LimitError(
                 f"gripper width {width_m:.3f} m is outside 0..{self.info.max_width_m:.3f} m; nothing was moved"
             )
-        with self._stop_when_interrupted():
+        with self._motion():
             return self._arm.move_gripper(width_m)
 
     def grasp(self, force_n: float) -> float:
@@ -104,7 +107,7 @@ class GuardedArm:
         self._check_at_most(
             "grasp force", force_n, min(self.limits.max_grasp_force_n, self.info.max_force_n), "N"
         )
-        with self._stop_when_interrupted():
+        with self._motion():
             return self._arm.grasp(force_n)
 
     def gripper_width(self) -> float:
@@ -112,8 +115,11 @@ class GuardedArm:
         return self._arm.gripper_width()
 
     def park(self) -> ToolPose:
-        """Move out of the camera's view. The parking pose is part of the arm's set-up, not a command."""
-        with self._stop_when_interrupted():
+        """Move out of the camera's view. The parking pose is part of the arm's set-up, not a command.
+
+        It needs no camera: this is how to begin again after one was lost.
+        """
+        with self._motion(watched=False):
             return self._arm.park()
 
     def stop(self) -> None:
@@ -142,9 +148,11 @@ class GuardedArm:
                 )
 
     @contextmanager
-    def _stop_when_interrupted(self) -> Iterator[None]:
+    def _motion(self, watched: bool = True) -> Iterator[None]:
+        watching = self.watchdog.watching(self._arm.stop) if self.watchdog and watched else nullcontext()
         try:
-            yield
+            with watching:
+                yield
         except ReachError:  # nothing moves
             raise
         except BaseException:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import time
 
+from baggie.workcell.cameras.live import LiveCamera
 from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.franka import FrankaArm
+from baggie.workcell.watchdog import Watchdog
 from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+SILENT_S = 1.5
+"""A camera from which nothing has come for so long stops the arm."""
 
 
 class RealWorkcell(Workcell):
@@ -14,6 +19,8 @@ class RealWorkcell(Workcell):
 
     def __init__(self, arm: FrankaArm, camera: OpenCamera, settings: WorkcellSettings) -> None:
         super().__init__(arm, camera, settings)
+        if isinstance(camera, LiveCamera):
+            self.arm.watchdog = Watchdog(camera.silent_s, SILENT_S, camera.name)
         self._devices = (arm, camera)
         self._began = time.monotonic()
 

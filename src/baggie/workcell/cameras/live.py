@@ -68,6 +68,7 @@ class LiveCamera:
         self._answer: Observation | None = None
         self._trouble: CameraError | None = None
         self._closed = False
+        self._came = time.monotonic()
         stream = open_stream(settings)
         self.name, self.intrinsics = stream.name, stream.intrinsics
         self._settings = stream.settings  # the same camera, locked likewise, when it is opened again
@@ -104,6 +105,10 @@ class LiveCamera:
                 )
             self._last = observation.color.copy()  # the caller may draw into its own
             return replace(observation, intrinsics=self.intrinsics)
+
+    def silent_s(self) -> float:
+        """Seconds since the last frame came, whether somebody looked at it or not."""
+        return time.monotonic() - self._came
 
     def close(self) -> None:
         """Let go of the camera; no look works any more."""
@@ -151,7 +156,7 @@ class LiveCamera:
         while not self._closed:
             began, before = time.monotonic(), came
             stream.grab()
-            came = time.monotonic()
+            self._came = came = time.monotonic()
             intervals.append(came - before)
             asked = self._asked
             if asked is None or began < asked or came - began < median(intervals) / 2:
