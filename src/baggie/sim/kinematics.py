@@ -1,6 +1,10 @@
-"""Inverse kinematics of the arm: straight tool paths as joint trajectories, and single poses at any tilt."""
+"""Kinematics of an arm: straight tool paths as joint paths and their timing, and single poses at any tilt."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import mink
 import mujoco
@@ -15,23 +19,31 @@ from baggie.geometry import (
     invert_transform,
     to_vector,
     tool_pose,
+    wrap_angle,
 )
 
 CONTROL_PERIOD_S = 0.02
-ARM_JOINTS = 7
 POSITION_TOLERANCE_M = 0.0005
 ROTATION_TOLERANCE_RAD = 0.002
 _STEP = 0.03  # metres and, for yaw, radians/5 between two solutions; between them joints are interpolated
 
 
 class Kinematics:
-    """The arm alone, without scene or bag: forward and inverse kinematics at joint positions `q` `(7,)` radians."""
+    """An arm alone, without scene or bag: forward and inverse kinematics at joint positions `q` `(J,)` radians."""
 
-    def __init__(self, arm: mujoco.MjModel, home: FloatArray) -> None:
+    def __init__(self, arm: mujoco.MjModel, home: FloatArray, joints: Sequence[str] | None = None) -> None:
+        """`arm` has a site "tool", whose frame is that of `hand_matrix`.
+
+        `home`: `(J,)`, to where a joint that is free to move is drawn. `joints`: their names, all hinges; the model's
+        first unless given.
+        """
+        self._at = np.array(
+            [arm.joint(name).qposadr[0] for name in joints] if joints else range(len(home))
+        )  # no joint of an arm has more than one coordinate, so its velocities are numbered alike
         self._configuration = mink.Configuration(arm)
         self._task = mink.FrameTask("tool", "site", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
         # The elbow is free: draw it gently home, so that the same pose always has about the same joints.
-        self._posture = mink.PostureTask(arm, cost=[2e-3] * ARM_JOINTS + [0.0] * (arm.nq - ARM_JOINTS))
+        self._posture = mink.PostureTask(arm, cost=2e-3 * np.isin(np.arange(arm.nq), self._at))
         self._limits = [mink.ConfigurationLimit(arm)]
         self._posture.set_target(self._full(home))
 
@@ -45,7 +57,7 @@ class Kinematics:
         return np.asarray(self._configuration.get_transform_frame_to_world("tool", "site").as_matrix(), float)
 
     def line(self, start: FloatArray, target: ToolPose) -> FloatArray:
-        """Joint positions `(N, 7)` along the straight line from `start` `(7,)` to `target`, both ends included.
+        """Joint positions `(N, J)` along the straight line from `start` `(J,)` to `target`, both ends included.
 
         Raises `ReachError` when the arm cannot follow it within its joint limits.
         """
@@ -60,12 +72,12 @@ class Kinematics:
             step = hand_matrix(ToolPose(float(xyz[0]), float(xyz[1]), float(xyz[2]), yaw))
             path.append(self._solve(step, iterations=30 if fraction == 1.0 else 3))
         if not self._is_there():
-            turned = f"pointing down at yaw {np.rad2deg(target.yaw):.0f} degrees"
+            turned = f"pointing down at yaw {np.rad2deg(wrap_angle(target.yaw)):.0f} degrees"
             raise self._unreachable(target.xyz, turned)
         return np.array(path)
 
     def reach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
-        """Joint positions `(7,)` that bring the hand to `transform`, `T_base_hand` `(4, 4)`, found from `start` `(7,)`.
+        """Joint positions `(J,)` that bring the hand to `transform`, `T_base_hand` `(4, 4)`, found from `start` `(J,)`.
 
         The hand is led there in small steps, so that the elbow does not flip. Raises `ReachError` when the arm cannot
         get there within its joint limits.
@@ -82,8 +94,38 @@ class Kinematics:
         tilt = np.arccos(np.clip(-transform[2, 2], -1.0, 1.0))
         raise self._unreachable(transform[:3, 3], f"tilted by {np.rad2deg(tilt):.0f} degrees")
 
+    def turned(self, start: FloatArray, target: ToolPose) -> ToolPose:
+        """`target` with the yaw, not wrapped, to which `line` turns the shorter way, or the other if only that can be.
+
+        Raises `ReachError` when it can be reached neither way.
+        """
+        here = self.tool_pose(start).yaw
+        shorter = wrap_angle(target.yaw - here)
+        longer = shorter - float(np.copysign(2 * np.pi, shorter))
+        errors = []
+        for turn in (shorter, longer):
+            turned = replace(target, yaw=here + turn)
+            try:
+                self.line(start, turned)
+                return turned
+            except ReachError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def shortest_times(
+        self, path: FloatArray, speed_m_s: float, joint_speeds_rad_s: FloatArray
+    ) -> FloatArray:
+        """`(N - 1,)` seconds that each stretch of a joint path `(N, J)` takes at the highest speed allowed.
+
+        That is `speed_m_s` of the tool and `(J,)` of the joints, whichever is slower.
+        """
+        poses = [self.tool_pose(q) for q in path]
+        tool = [np.linalg.norm(b.xyz - a.xyz) / speed_m_s for a, b in pairwise(poses)]
+        joints = (np.abs(np.diff(path, axis=0)) / joint_speeds_rad_s).max(axis=1)
+        return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
+
     def _solve(self, transform: FloatArray, iterations: int) -> FloatArray:
-        """Joint positions `(7,)` nearer to `T_base_hand` `(4, 4)`, from those of the last solution."""
+        """Joint positions `(J,)` nearer to `T_base_hand` `(4, 4)`, from those of the last solution."""
         self._task.set_target(mink.SE3.from_matrix(transform))
         for _ in range(iterations):
             velocity = mink.solve_ik(
@@ -98,7 +140,7 @@ class Kinematics:
             error = self._task.compute_error(self._configuration)
             if np.linalg.norm(error[:3]) < 5e-5 and np.linalg.norm(error[3:]) < 5e-4:
                 break
-        return np.asarray(self._configuration.q[:ARM_JOINTS].copy())
+        return np.asarray(self._configuration.q[self._at])
 
     def _off(self) -> tuple[float, float]:
         """How far the last solution is from what was asked for: metres, radians."""
@@ -119,8 +161,20 @@ class Kinematics:
 
     def _full(self, q: FloatArray) -> FloatArray:
         full = np.zeros(self._configuration.model.nq)
-        full[:ARM_JOINTS] = q
+        full[self._at] = q
         return full
+
+
+def minimum_jerk(path: FloatArray, shortest_s: FloatArray, period_s: float) -> FloatArray:
+    """Joint positions `(M, J)`, one every `period_s`, that follow a path `(N, J)` smoothly from rest to rest.
+
+    `shortest_s`: `(N - 1,)` seconds that each stretch takes at full speed. The quintic eases the whole in and out, and
+    is nowhere faster than that. Both ends are included.
+    """
+    clock = np.r_[0.0, np.cumsum(shortest_s)]
+    steps = max(int(np.ceil(QUINTIC_PEAK * clock[-1] / period_s)), 1)
+    moments = clock[-1] * quintic(np.linspace(0.0, 1.0, steps + 1))
+    return np.column_stack([np.interp(moments, clock, joint) for joint in path.T])
 
 
 def quintic(fraction: FloatArray) -> FloatArray:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
 from baggie.geometry import FloatArray, ToolPose
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.kinematics import CONTROL_PERIOD_S, QUINTIC_PEAK, Kinematics, quintic
+from baggie.sim.kinematics import CONTROL_PERIOD_S, Kinematics, minimum_jerk
 from baggie.sim.scene import HOME, Tool, arm_spec
 from baggie.workcell.arm import ArmInfo
 
@@ -105,15 +104,9 @@ class ArmMotions:
         period_s: float,
         until: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """Follow joint positions `(N, 7)` with minimum-jerk timing, until the end or `until` says so; whether it did.
-
-        Each stretch takes as long as the slowest of its tool speed and its joints allows at full speed;
-        the quintic then eases the whole in and out without exceeding any of them.
-        """
-        clock = np.r_[0.0, np.cumsum(self._shortest_times(path, speed_m_s))]
-        steps = max(int(np.ceil(QUINTIC_PEAK * clock[-1] / period_s)), 1)
-        moments = clock[-1] * quintic(np.linspace(0.0, 1.0, steps + 1))
-        points = np.column_stack([np.interp(moments, clock, joint) for joint in path.T])
+        """Follow joint positions `(N, 7)` with minimum-jerk timing to the end or until `until`; whether it was that."""
+        times = self._kinematics.shortest_times(path, speed_m_s, JOINT_SPEED_LIMITS)
+        points = minimum_jerk(path, times, period_s)
         velocities = np.gradient(points, period_s, axis=0)
         for q, velocity in zip(points[1:], velocities[1:], strict=True):
             self._command(q, velocity)
@@ -126,13 +119,6 @@ class ArmMotions:
         """Stop at the last target and wait until the arm is there."""
         self._command(self._target, np.zeros(7))
         self._settle()
-
-    def _shortest_times(self, path: FloatArray, speed_m_s: float) -> FloatArray:
-        """`(N - 1,)` seconds that each stretch of a joint path `(N, 7)` takes at the highest speed allowed."""
-        poses = [self._kinematics.tool_pose(q) for q in path]
-        tool = [np.linalg.norm(b.xyz - a.xyz) / speed_m_s for a, b in pairwise(poses)]
-        joints = (np.abs(np.diff(path, axis=0)) / JOINT_SPEED_LIMITS).max(axis=1)
-        return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
 
     def _settle(self) -> None:
         """Wait until the arm is at rest: a pose read earlier is not where it will be."""

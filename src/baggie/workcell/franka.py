@@ -160,13 +160,7 @@ class FrankaArm:
     def _plan(self, target: ToolPose) -> list[ToolPose]:
         """The poses to pass on the straight way to `target`. Raises `ReachError` where the arm cannot follow it."""
         here, q = self.pose(), self.joints()
-        shorter = wrap_angle(target.yaw - here.yaw)
-        try:
-            turn = shorter
-            self._kinematics.line(q, replace(target, yaw=here.yaw + turn))
-        except ReachError:
-            turn = shorter - np.copysign(2 * np.pi, shorter)
-            self._kinematics.line(q, replace(target, yaw=here.yaw + turn))
+        turn = self._kinematics.turned(q, target).yaw - here.yaw
         shares = np.linspace(0, 1, int(np.ceil(max(abs(turn), 1e-9) / TURN_STEP_RAD)) + 1)[1:]
         way = target.xyz - here.xyz
         return [

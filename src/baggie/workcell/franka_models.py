@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from baggie.geometry import FloatArray
-from baggie.sim.kinematics import ARM_JOINTS, Kinematics
+from baggie.sim.kinematics import Kinematics
 from baggie.sim.scene import HOME, arm_spec
 
 ModelName = Literal["fr3", "panda"]
@@ -38,7 +38,7 @@ class FrankaModel:
 def _model(
     title: str, lower: tuple[float, ...], upper: tuple[float, ...], speed: tuple[float, ...]
 ) -> FrankaModel:
-    assert len(lower) == len(upper) == len(speed) == ARM_JOINTS
+    assert len(lower) == len(upper) == len(speed) == len(HOME)
     return FrankaModel(title, np.array(lower), np.array(upper), np.array(speed))
 
 

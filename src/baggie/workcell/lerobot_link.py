@@ -1,0 +1,171 @@
+"""The link to a LeRobot robot: what it must offer, how it is found, positions in radians, errors in one line."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import Any, Protocol
+
+import numpy as np
+
+from baggie.errors import ArmError, BaggieError
+from baggie.geometry import FloatArray
+
+
+class LeRobotRobot(Protocol):
+    """As much of `lerobot.robots.Robot` (0.6.1) as is used; anything that offers it will do."""
+
+    name: str
+
+    @property
+    def observation_features(self) -> Mapping[str, Any]:
+        """What an observation holds, known before it is connected."""
+        ...
+
+    @property
+    def action_features(self) -> Mapping[str, Any]:
+        """What an action holds, likewise."""
+        ...
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it can be spoken with."""
+        ...
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether it knows its own zeros and ranges."""
+        ...
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Find it."""
+        ...
+
+    def get_observation(self) -> Mapping[str, Any]:
+        """`{"shoulder_pan.pos": 12.5, ...}`."""
+        ...
+
+    def send_action(self, action: dict[str, Any]) -> Mapping[str, Any]:
+        """Position targets; what was really sent."""
+        ...
+
+    def disconnect(self) -> None:
+        """Let go of it."""
+        ...
+
+
+class LeRobotLink:
+    """A robot's joints and gripper as one vector: `(J + 1,)` radians, and last the gripper in its own units.
+
+    Connects when it is first needed, and again when the link was lost. Raises `ArmError` for whatever the robot or the
+    bus answers, `BaggieError` when the robot has no such joints.
+    """
+
+    def __init__(self, robot: LeRobotRobot, names: list[str], zero: FloatArray, gain: FloatArray) -> None:
+        """`names`: J joints and the gripper. A position is `zero + gain * reading`, each `(J + 1,)`."""
+        self._robot, self._zero, self._gain = robot, zero, gain
+        self._keys = [f"{name}.pos" for name in names]
+        for features in (robot.observation_features, robot.action_features):
+            missing = [key for key in self._keys if key not in features]
+            if missing:
+                raise BaggieError(
+                    f"expected a robot with {', '.join(missing)}, {robot.name} has {', '.join(features)}; give its own "
+                    "names as joints and gripper"
+                )
+        self.sent: FloatArray | None = None
+        """The last target `(J + 1,)`, as it was really sent; None since it was connected."""
+
+    def measured(self) -> FloatArray:
+        """Where joints and gripper are, `(J + 1,)`."""
+        self._connect()
+        with self._speaking():
+            return self._read(self._robot.get_observation())
+
+    def send(self, target: FloatArray) -> None:
+        """Send targets, `(J + 1,)`."""
+        readings = (target - self._zero) / self._gain
+        action = {key: float(value) for key, value in zip(self._keys, readings, strict=True)}
+        with self._speaking():
+            self.sent = self._read(self._robot.send_action(action))
+
+    def close(self) -> None:
+        """Let go of the robot. Whether it stays stiff is up to its own settings."""
+        self.sent = None
+        if self._robot.is_connected:
+            with self._speaking():
+                self._robot.disconnect()
+
+    def _read(self, answer: Mapping[str, Any]) -> FloatArray:
+        missing = [key for key in self._keys if key not in answer]
+        if missing:
+            raise ArmError(f"{self._robot.name} says nothing about {', '.join(missing)}; restart it")
+        values = np.array([float(answer[key]) for key in self._keys])
+        if not np.isfinite(values).all():
+            raise ArmError(f"{self._robot.name} answers {values}, which are no positions; restart it")
+        return np.asarray(self._zero + self._gain * values)
+
+    def _connect(self) -> None:
+        if self._robot.is_connected:
+            return
+        self.sent = None
+        with self._speaking():
+            self._robot.connect(calibrate=False)  # calibrating asks a person at the terminal
+            calibrated = self._robot.is_calibrated
+        if not calibrated:
+            self.close()
+            raise ArmError(
+                f"{self._robot.name} is not calibrated; run lerobot-calibrate with the same type, port and id"
+            )
+
+    @contextmanager
+    def _speaking(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError) as error:  # ConnectionError and what serial ports raise are OSErrors
+            self.sent = None
+            with suppress(OSError, RuntimeError):
+                self._robot.disconnect()
+            raise ArmError(
+                f"the link to {self._robot.name} was lost ({' '.join(str(error).split())}); check its power, its cable "
+                "and that no other program uses its port. The next motion connects again"
+            ) from None
+
+
+def open_robot(kind: str, options: Mapping[str, Any]) -> LeRobotRobot:
+    """LeRobot's robot of a type such as `so101_follower`, not yet connected. `options`: of its own configuration.
+
+    Raises `BaggieError` without `lerobot`, for a type it does not know, and for options that the type does not take.
+    """
+    try:
+        robots = importlib.import_module("lerobot.robots")
+        plugins = importlib.import_module("lerobot.utils.import_utils").register_third_party_plugins
+    except ImportError as error:
+        raise BaggieError(
+            f"a LeRobot robot needs lerobot, which cannot be imported ({_line(error)}); pip install lerobot, with what "
+            "the robot's motors need: pip install 'lerobot[feetech]' for an SO-101"
+        ) from None
+    config = _config(robots, kind, plugins)
+    try:
+        return robots.make_robot_from_config(config(**options))  # type: ignore[no-any-return]
+    except (ImportError, TypeError, ValueError) as error:
+        raise BaggieError(f"LeRobot cannot make a {kind} of {dict(options)}: {_line(error)}") from None
+
+
+def _config(robots: Any, kind: str, plugins: Callable[[], None]) -> Any:
+    """The configuration class of a type. LeRobot knows a type only once its module was imported, so they all are."""
+    for module in pkgutil.iter_modules(robots.__path__, "lerobot.robots."):
+        if kind not in robots.RobotConfig.get_known_choices():
+            with suppress(ImportError):  # another robot's, whose own library is not installed
+                importlib.import_module(module.name)
+    if kind not in robots.RobotConfig.get_known_choices():
+        plugins()
+    known = robots.RobotConfig.get_known_choices()
+    if kind not in known:
+        raise BaggieError(f"LeRobot knows no robot of type {kind!r}; it knows {', '.join(sorted(known))}")
+    return known[kind]
+
+
+def _line(error: object) -> str:
+    return " ".join(str(error).split())
