@@ -67,7 +67,9 @@ def test_joints_are_in_the_order_they_were_named(files: dict[str, Path]) -> None
     forwards = kinematics(files[".xml"])
     np.testing.assert_allclose(backwards.hand_pose(HOME[::-1]), forwards.hand_pose(HOME), atol=1e-12)
     target = ToolPose(0.2, 0.0, 0.12, forwards.tool_pose(HOME).yaw)
-    np.testing.assert_allclose(backwards.line(HOME[::-1], target)[:, ::-1], forwards.line(HOME, target), atol=1e-6)
+    np.testing.assert_allclose(
+        backwards.line(HOME[::-1], target)[:, ::-1], forwards.line(HOME, target), atol=1e-6
+    )
 
 
 def test_the_tool_sits_in_its_frame_as_in_urdf(files: dict[str, Path]) -> None:
@@ -78,7 +80,9 @@ def test_the_tool_sits_in_its_frame_as_in_urdf(files: dict[str, Path]) -> None:
     tip, tool = (Kinematics(model, HOME, JOINTS).hand_pose(HOME) for model in (plain, moved))
     np.testing.assert_allclose(tool[:3, 3] - tip[:3, 3], tip[:3, :3] @ [0.01, 0.02, 0.03], atol=1e-9)
     turn = tip[:3, :3].T @ tool[:3, :3]
-    np.testing.assert_allclose(turn[2], [-np.sin(0.2), np.cos(0.2) * np.sin(0.1), np.cos(0.2) * np.cos(0.1)], atol=1e-9)
+    np.testing.assert_allclose(
+        turn[2], [-np.sin(0.2), np.cos(0.2) * np.sin(0.1), np.cos(0.2) * np.cos(0.1)], atol=1e-9
+    )
 
 
 def test_a_pedestal_raises_everything(files: dict[str, Path]) -> None:

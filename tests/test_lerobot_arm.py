@@ -121,11 +121,15 @@ def test_it_goes_on_from_what_was_really_sent() -> None:
     np.testing.assert_allclose(arm.move_to(target, 0.5).xyz, target.xyz, atol=0.002)
 
 
-places = st.builds(ToolPose, st.floats(0.35, 0.6), st.floats(-0.3, 0.3), st.floats(0.05, 0.4), st.floats(-1, 1))
+places = st.builds(
+    ToolPose, st.floats(0.35, 0.6), st.floats(-0.3, 0.3), st.floats(0.05, 0.4), st.floats(-1, 1)
+)
 
 
 @hypothesis_settings(max_examples=8, deadline=None)
-@given(st.lists(places, min_size=1, max_size=3), st.floats(0.1, 1.0), st.floats(0.0, 4.0), st.floats(-0.1, 0.3))
+@given(
+    st.lists(places, min_size=1, max_size=3), st.floats(0.1, 1.0), st.floats(0.0, 4.0), st.floats(-0.1, 0.3)
+)
 def test_no_step_sent_is_larger_than_allowed(
     targets: list[ToolPose], speed: float, short_deg: float, floor_z: float
 ) -> None:
@@ -174,7 +178,7 @@ def test_a_tilted_tool_is_parked_before_it_goes_along_lines() -> None:
     robot = NumbersRobot()
     robot.at[5] -= 40.0
     arm = opened(robot)
-    with pytest.raises(ReachError, match="tilted by 40 degrees.* park the arm first"):
+    with pytest.raises(ReachError, match=r"tilted by 40 degrees.* park the arm first"):
         arm.move_to(HIGH, 0.5)
     assert not robot.sent
     arm.park()
@@ -210,7 +214,7 @@ def test_a_robot_that_falls_silent_is_said_so_and_found_again() -> None:
         robot.cable = False
 
     clock.happens = pull_the_cable
-    with pytest.raises(ArmError, match="the link to numbers_follower was lost.*check its power, its cable"):
+    with pytest.raises(ArmError, match=r"the link to numbers_follower was lost.*check its power, its cable"):
         GuardedArm(arm, LIMITS).move_to(HIGH, 0.2)
     with pytest.raises(ArmError, match="could not open port"):
         arm.pose()
@@ -257,8 +261,14 @@ def test_an_uncalibrated_robot_is_refused() -> None:
         ({"gripper": "jaw"}, r"expected a robot with jaw\.pos, numbers_follower has fr3_joint1\.pos, "),
         ({"tool": "flange"}, r"has no site, body or link 'flange'; it has .*hand"),
         ({"model": Path("nowhere.xml")}, r"nowhere\.xml is no model of an arm"),
-        ({"joints": [*JOINTS[:6], {"name": JOINTS[6], "model": "wrist"}]}, r"no joint 'wrist'; it has fr3_joint1"),
-        ({"park": [0, 0, 0, -90, 0, 0, 0]}, r"a parking position with the tool pointing down, .* by 90 degrees"),
+        (
+            {"joints": [*JOINTS[:6], {"name": JOINTS[6], "model": "wrist"}]},
+            r"no joint 'wrist'; it has fr3_joint1",
+        ),
+        (
+            {"park": [0, 0, 0, -90, 0, 0, 0]},
+            r"a parking position with the tool pointing down, .* by 90 degrees",
+        ),
         ({"park": [0.0] * 6}, r"park needs 7 numbers, one a joint, got 6"),
         ({"widths": [(0, 0.0)]}, r"widths needs two or more pairs"),
         ({"widths": [(0, 0.05), (100, 0.0)]}, r"widths needs two or more pairs, both numbers rising"),

@@ -13,10 +13,14 @@ from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
 from baggie.sim.bag import LONG_ASPECT, BagParameters
+from baggie.workcell.arm import Arm
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.franka import FrankaArm
+from baggie.workcell.lerobot_arm import LeRobotArm
+from baggie.workcell.lerobot_link import open_robot
+from baggie.workcell.python_arm import open_python_arm
 from baggie.workcell.real import RealWorkcell
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.simulated import SimulatedWorkcell
@@ -24,7 +28,10 @@ from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import (
     CalibrationFiles,
     FrankaEntry,
+    LeRobotEntry,
+    PythonEntry,
     ReplayEntry,
+    SimulatedEntry,
     WorkcellFile,
     read_workcell_file,
 )
@@ -69,7 +76,12 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         defaults,
         name=path.stem,
         workspace=Rectangle(*bounds.x, *bounds.y),
-        limits=replace(defaults.limits, workspace=gate, **written.limits.model_dump()),
+        limits=replace(
+            defaults.limits,
+            workspace=gate,
+            reach=_around(defaults.limits.reach, gate),
+            **written.limits.model_dump(),
+        ),
         handling=written.handling,
         object_color=bag.color,
         object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
@@ -79,10 +91,32 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     entry = written.arm
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
+    if isinstance(entry, SimulatedEntry):
+        return SimulatedWorkcell(written.cell, settings, bag)
+    arm = _open_arm(entry, path.parent)
+    if settings.handling.open_width_m > arm.info.max_width_m:
+        raise BaggieError(
+            f"{path}: handling.open_width_m is {settings.handling.open_width_m:g}, the gripper of {arm.info.name} "
+            f"opens to {arm.info.max_width_m:g}; lower it"
+        )
+    return RealWorkcell(arm, open_camera(written.camera or CameraSettings()), settings)
+
+
+def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> Arm:
     if isinstance(entry, FrankaEntry):
-        arm = FrankaArm(entry.host, entry.model, speed=entry.speed, realtime=entry.realtime)
-        return RealWorkcell(arm, open_camera(written.camera or CameraSettings()), settings)
-    return SimulatedWorkcell(written.cell, settings, bag)
+        return FrankaArm(entry.host, entry.model, speed=entry.speed, realtime=entry.realtime)
+    if isinstance(entry, PythonEntry):
+        return open_python_arm(entry.factory, entry.model_extra or {}, folder)
+    given = {"port": entry.port, "id": entry.id}
+    options = {name: value for name, value in given.items() if value is not None} | entry.options
+    model = folder / entry.model
+    return LeRobotArm(open_robot(entry.type, options), entry.model_copy(update={"model": model}))
+
+
+def _around(a: Rectangle, b: Rectangle) -> Rectangle:
+    return Rectangle(
+        min(a.x_min, b.x_min), max(a.x_max, b.x_max), min(a.y_min, b.y_min), max(a.y_max, b.y_max)
+    )
 
 
 def _load(files: CalibrationFiles, folder: Path, camera: CameraIdentity) -> Calibrations:

@@ -40,15 +40,23 @@ def _find(text: str, place: Place) -> tuple[int, str]:
             entry = node.value[part], node.value[part]
         if entry is not None:
             line, node = entry[0].start_mark.line + 1, entry[1]
-        if entry is not None or position == len(place) - 1:
+        if entry is not None or (position == len(place) - 1 and not _is_kind(node, part)):
             names.append(str(part))
     return line, ".".join(names) or "the file"
+
+
+def _is_kind(node: yaml.Node | None, part: int | str) -> bool:
+    """Whether this part of a place is no entry of the section but its kind."""
+    entries = node.value if isinstance(node, yaml.MappingNode) else []
+    return any(key.value == "kind" and value.value == part for key, value in entries)
 
 
 def _section(model: type, place: Place) -> type:
     """The model of the section at a place; a dataclass, perhaps."""
     kinds = [model]
     for part in place:
+        if isinstance(part, int):
+            continue  # an entry of a list: its models were found with the list
         of_kind = [each for each in kinds if str(part) in get_args(_annotation(each, "kind"))]
         kinds = of_kind or [found for each in kinds for found in _models(_annotation(each, str(part)))]
     return kinds[0]

@@ -82,7 +82,9 @@ class Follower:
         """Move the fingers to `goal`, or until something holds them: then leave their target `squeeze` units inside."""
         self._stopped.clear()
         step, window = FINGERS_PER_S * self._period_s, round(STILL_S / self._period_s) + 1
-        lead = max(squeeze, 1.5 * FINGERS_PER_S * self._settings.lag_s)  # no harder than this while they find out
+        lead = max(
+            squeeze, 1.5 * FINGERS_PER_S * self._settings.lag_s
+        )  # no harder than this while they find out
         seen = [self._link.measured()[-1]]
         for _ in range(round(2 * abs(goal - seen[0]) / step) + 4 * window):
             target, at = self._target(), seen[-1]

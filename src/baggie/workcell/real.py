@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from typing import Protocol, runtime_checkable
 
+from baggie.workcell.arm import Arm
 from baggie.workcell.cameras.live import LiveCamera
 from baggie.workcell.cameras.opening import OpenCamera
-from baggie.workcell.franka import FrankaArm
 from baggie.workcell.watchdog import Watchdog
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -14,10 +15,15 @@ SILENT_S = 1.5
 """A camera from which nothing has come for so long stops the arm."""
 
 
-class RealWorkcell(Workcell):
-    """Nobody puts things back here: `rescue` says that it cannot."""
+@runtime_checkable
+class _Closable(Protocol):
+    def close(self) -> None: ...
 
-    def __init__(self, arm: FrankaArm, camera: OpenCamera, settings: WorkcellSettings) -> None:
+
+class RealWorkcell(Workcell):
+    """Any arm and any camera. Nobody puts things back here: `rescue` says that it cannot."""
+
+    def __init__(self, arm: Arm, camera: OpenCamera, settings: WorkcellSettings) -> None:
         super().__init__(arm, camera, settings)
         if isinstance(camera, LiveCamera):
             self.arm.watchdog = Watchdog(camera.silent_s, SILENT_S, camera.name)
@@ -29,6 +35,7 @@ class RealWorkcell(Workcell):
         return time.monotonic() - self._began
 
     def close(self) -> None:
-        """Let go of arm and camera; the arm holds its position."""
+        """Let go of the camera, and of an arm that has a `close`."""
         for device in self._devices:
-            device.close()
+            if isinstance(device, _Closable):
+                device.close()

@@ -20,6 +20,7 @@ from baggie.errors import BaggieError
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.file_errors import explain
 from baggie.workcell.franka_models import ModelName
+from baggie.workcell.lerobot_settings import LeRobotSettings
 from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell import WorkcellSettings
 
@@ -57,6 +58,32 @@ class FrankaEntry(_Section):
     """Whether to refuse to move it from a computer without a real-time kernel."""
 
 
+class LeRobotEntry(LeRobotSettings):
+    """A robot of LeRobot's. `model` is looked for from the workcell file's own folder."""
+
+    kind: Literal["lerobot"]
+    type: str = Field(min_length=1)
+    """LeRobot's name for it, `so101_follower`."""
+    port: str | None = None
+    id: str | None = None
+    """The name of its calibration."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Whatever else LeRobot's configuration of this type takes."""
+
+
+class PythonEntry(BaseModel):
+    """An arm of one's own. Every other entry is an option of its factory."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    kind: Literal["python"]
+    factory: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+
+
+REAL_ARMS = (FrankaEntry, LeRobotEntry, PythonEntry)
+
+
 def _kind_alone(entry: Any) -> Any:
     return {"kind": entry} if isinstance(entry, str) else entry
 
@@ -67,7 +94,9 @@ def _words_alone(entry: Any) -> Any:
 
 
 ArmEntry = Annotated[
-    Annotated[SimulatedEntry | ReplayEntry | FrankaEntry, Field(discriminator="kind")],
+    Annotated[
+        SimulatedEntry | ReplayEntry | FrankaEntry | LeRobotEntry | PythonEntry, Field(discriminator="kind")
+    ],
     BeforeValidator(_kind_alone),
 ]
 CameraEntry = Annotated[CameraSettings, BeforeValidator(_words_alone)]
@@ -159,9 +188,9 @@ class WorkcellFile(_Section):
 
     @model_validator(mode="after")
     def _real_arms_need_real_cameras(self) -> WorkcellFile:
-        if isinstance(self.arm, FrankaEntry) and self.camera is None:
+        if isinstance(self.arm, REAL_ARMS) and self.camera is None:
             raise ValueError("a real arm needs a real camera; write `camera: 0`, or its device or address")
-        if not isinstance(self.arm, FrankaEntry) and self.camera is not None:
+        if not isinstance(self.arm, REAL_ARMS) and self.camera is not None:
             raise ValueError(f"the arm {self.arm.kind!r} sees with a camera of its own; leave `camera` out")
         return self
 

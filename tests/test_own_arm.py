@@ -1,0 +1,240 @@
+"""The template of examples/own_arm.py, and how a workcell file opens an arm of one's own."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import baggie
+from baggie.errors import ArmError, BaggieError, LimitError, ReachError
+from baggie.geometry import PlanarPose, ToolPose
+from baggie.types import PickPlace
+from baggie.workcell.arm_contract import check_arm
+from baggie.workcell.lerobot_arm import LeRobotArm
+from baggie.workcell.limits import GuardedArm
+from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
+from lerobot_robot import FR3, NumbersRobot, settings
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "own_arm.py"
+LIMITS = WorkcellSettings().limits
+
+
+@pytest.fixture(scope="module")
+def own_arm() -> Iterator[ModuleType]:
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("example_own_arm", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["example_own_arm"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["example_own_arm"]
+
+
+def opened(own_arm: ModuleType, **robot: Any) -> Any:
+    return own_arm.OwnArm(own_arm.ImaginaryRobot(**robot), 0.85, sleep=lambda _: None)
+
+
+def test_the_template_keeps_the_contract(own_arm: ModuleType) -> None:
+    check_arm(GuardedArm(opened(own_arm), LIMITS))
+
+
+def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> None:
+    arm = opened(own_arm, table_z=0.05, thing_m=0.02)
+    handling, start, goal = Handling(), PlanarPose(0.5, 0.1), PlanarPose(0.45, -0.1)
+    grasp = pick(GuardedArm(arm, LIMITS), start, handling)
+    assert grasp.held
+    release = place(GuardedArm(arm, LIMITS), goal, handling)
+    for pose, where in ((grasp.pose, start), (release.pose, goal)):
+        np.testing.assert_allclose(pose.xyz, where.at_height(0.05).xyz, atol=1e-9)
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 1))
+def test_the_template_goes_there_or_says_why_not_and_stays(
+    own_arm: ModuleType, x: float, y: float, z: float
+) -> None:
+    arm, target = opened(own_arm), ToolPose(x, y, z, 0.4)
+    before = arm.pose()
+    if np.linalg.norm(target.xyz) <= 0.85:
+        np.testing.assert_allclose(arm.move_to(target, 0.5).xyz, target.xyz, atol=1e-9)
+    else:
+        with pytest.raises(ReachError):
+            arm.move_to(target, 0.5)
+        assert arm.pose() == before
+
+
+def test_the_template_is_never_faster_than_asked_and_stops(own_arm: ModuleType) -> None:
+    seen = []
+    arm = opened(own_arm)
+    arm._sleep = lambda _: seen.append(arm.pose().xyz)
+    arm.move_to(ToolPose(0.5, 0.1, 0.2), 0.25)
+    assert np.linalg.norm(np.diff(seen, axis=0), axis=1).max() <= 0.25 * own_arm.PERIOD_S + 1e-9
+    arm._sleep = lambda _: arm.stop()
+    with pytest.raises(ArmError, match="was stopped"):
+        arm.move_to(ToolPose(0.5, -0.1, 0.2), 0.25)
+    assert arm.pose().y > 0.09
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    writer = cv2.VideoWriter(str(tmp_path / "table.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    return tmp_path
+
+
+def written(folder: Path, arm: str, more: str = "") -> Path:
+    path = folder / "cell.yaml"
+    path.write_text(f"arm: {arm}\ncamera: {folder / 'table.avi'}\n{more}")
+    return path
+
+
+def test_a_workcell_file_opens_an_arm_that_lies_beside_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    shutil.copy(EXAMPLE, folder / "an_arm_of_my_own.py")
+    cell = baggie.open_workcell(
+        written(folder, "{kind: python, factory: 'an_arm_of_my_own:open_arm', reach_m: 0.6}")
+    )
+    assert cell.arm.info.name == "imaginary arm"
+    with pytest.raises(ReachError, match=r"reaches 0\.60 m"):
+        cell.arm.move_to(ToolPose(0.6, 0.3, 0.3), 0.5)
+    with pytest.raises(LimitError):
+        cell.execute(PickPlace(PlanarPose(0.45, 0.0), PlanarPose(0.9, 0.0)))
+    cell.close()
+
+
+WRONG = """
+class Half:
+    info = "half an arm"
+    def pose(self): ...
+    def move_to(self): ...
+    def lower_until_contact(self): ...
+    def move_gripper(self): ...
+    def grasp(self): ...
+    def gripper_width(self): ...
+    def stop(self): ...
+
+class Whole(Half):
+    def park(self): ...
+
+def with_options(port, baud=9600): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("arm", "message"),
+    [
+        (
+            "'nowhere_to_be:open_arm'",
+            r"ModuleNotFoundError: No module named 'nowhere_to_be'\); expected module:function",
+        ),
+        ("'needs_more:open_arm'", r"No module named 'own_missing_library'"),
+        ("'wrong_arms:Third'", r"wrong_arms has no function or class 'Third'"),
+        ("'wrong_arms:Half'", r"wrong_arms:Half made a Half, which is no Arm: it lacks park; see"),
+        ("'wrong_arms:Whole'", r"which is no Arm: it has an `info` that is no ArmInfo"),
+        ("'wrong_arms:with_options', prot: 3", r"takes \(port, baud=9600\), not prot \(.*'port'\)"),
+        ("'wrong_arms'", r"line 1: arm\.factory: .*got 'wrong_arms'"),
+        ("3", r"line 1: arm\.factory: .*got 3"),
+    ],
+)
+def test_a_factory_that_makes_no_arm_is_said_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, arm: str, message: str
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.delitem(sys.modules, "wrong_arms", raising=False)
+    (folder / "needs_more.py").write_text("import own_missing_library\n")
+    (folder / "wrong_arms.py").write_text(WRONG)
+    with pytest.raises(BaggieError, match=message) as raised:
+        baggie.open_workcell(written(folder, f"{{kind: python, factory: {arm}}}"))
+    assert "\n" not in str(raised.value)
+
+
+SO101 = (
+    "{kind: lerobot, type: so101_follower, port: /dev/ttyACM0, model: so101.urdf, park: [90, 0, 0, 90, 0]}"
+)
+
+
+def test_a_workcell_file_describes_a_lerobot_robot(folder: Path) -> None:
+    entry = read_workcell_file(written(folder, SO101)).arm
+    assert isinstance(entry, LeRobotEntry)
+    assert (entry.type, entry.port, entry.model) == ("so101_follower", "/dev/ttyACM0", Path("so101.urdf"))
+    assert [joint.name for joint in entry.joints][-1] == "wrist_roll"
+    assert entry.speed <= 0.1, "slow, until somebody has watched it"
+
+
+def test_without_lerobot_a_workcell_file_says_what_to_install(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "lerobot.robots", None)
+    with pytest.raises(BaggieError, match="pip install lerobot"):
+        baggie.open_workcell(written(folder, SO101))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            ", joints: [{name: a, turn: 1}]",
+            r"line 1: arm\.joints\.0\.turn: there is no such entry; .*sign, zero_deg",
+        ),
+        (", units: radians", r"line 1: arm\.units: .*'degrees' or 'normalized', got 'radians'"),
+        (", park: [0]", r"line 1: arm: park needs 5 numbers, one a joint, got 1"),
+    ],
+)
+def test_a_wrong_entry_of_a_lerobot_robot_is_named(folder: Path, change: str, message: str) -> None:
+    given = SO101.replace(", park: [90, 0, 0, 90, 0]", "") if "park" in change else SO101
+    with pytest.raises(BaggieError, match=message):
+        read_workcell_file(written(folder, given[:-1] + change + "}"))
+
+
+def test_what_a_workcell_file_says_reaches_lerobot(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def open_robot(*args: Any) -> NumbersRobot:
+        asked.append(args)
+        return NumbersRobot()
+
+    monkeypatch.setattr("baggie.workcell.config.open_robot", open_robot)
+    (folder / "models").mkdir()
+    shutil.copy(FR3, folder / "models" / "fr3.xml")
+    mine = settings().model_dump(mode="json", exclude={"model"})
+    arm = {
+        "kind": "lerobot",
+        "type": "numbers",
+        "id": "left",
+        "options": {"baud": 3},
+        "model": "models/fr3.xml",
+        **mine,
+    }
+    import yaml
+
+    path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump({"arm": arm, "camera": str(folder / "table.avi")}))
+    cell = baggie.open_workcell(path)
+    assert asked == [("numbers", {"id": "left", "baud": 3})]
+    assert isinstance(cell.arm._arm, LeRobotArm)
+    assert cell.arm.info.name == "LeRobot's numbers_follower"
+    cell.close()
+    path.write_text(
+        yaml.safe_dump({"arm": arm | {"widths": [[0, 0], [100, 0.05]]}, "camera": str(folder / "table.avi")})
+    )
+    with pytest.raises(
+        BaggieError, match=r"handling\.open_width_m is 0\.08, the gripper of .* opens to 0\.05; lower it"
+    ):
+        baggie.open_workcell(path)
