@@ -140,6 +140,7 @@ def open_robot(kind: str, options: Mapping[str, Any]) -> LeRobotRobot:
     """
     try:
         robots = importlib.import_module("lerobot.robots")
+        decode = importlib.import_module("draccus").decode  # as LeRobot's own commands read a configuration
         plugins = importlib.import_module("lerobot.utils.import_utils").register_third_party_plugins
     except ImportError as error:
         raise BaggieError(
@@ -148,8 +149,8 @@ def open_robot(kind: str, options: Mapping[str, Any]) -> LeRobotRobot:
         ) from None
     config = _config(robots, kind, plugins)
     try:
-        return robots.make_robot_from_config(config(**options))  # type: ignore[no-any-return]
-    except (ImportError, TypeError, ValueError) as error:
+        return robots.make_robot_from_config(decode(config, dict(options)))  # type: ignore[no-any-return]
+    except Exception as error:  # draccus and LeRobot raise whatever they like here; nothing is connected yet
         raise BaggieError(f"LeRobot cannot make a {kind} of {dict(options)}: {_line(error)}") from None
 
 
