@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -27,7 +28,8 @@ from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
 from lerobot_robot import FR3, NumbersRobot, settings
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "own_arm.py"
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "own_arm.py"
 LIMITS = WorkcellSettings().limits
 
 
@@ -238,3 +240,11 @@ def test_what_a_workcell_file_says_reaches_lerobot(folder: Path, monkeypatch: py
         BaggieError, match=r"handling\.open_width_m is 0\.08, the gripper of .* opens to 0\.05; lower it"
     ):
         baggie.open_workcell(path)
+
+
+def test_the_workcell_files_that_the_guide_shows_are_accepted(tmp_path: Path) -> None:
+    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "own-arm.md").read_text(), re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        (tmp_path / "cell.yaml").write_text(block)
+        read_workcell_file(tmp_path / "cell.yaml")

@@ -19,8 +19,6 @@ from baggie.geometry import PlanarPose
 from baggie.workcell.workcell import Workcell
 
 SLOW_M_S = 0.1
-HIGH_M = 0.25
-"""Where the tool moves to and fro: above whatever may lie on the table."""
 FEEL_M_S = 0.05
 FEEL_N = 8.0
 LIES_M = 0.008
@@ -140,7 +138,7 @@ def corners(cell: Workcell) -> str:
     """The arm gets everywhere above the workspace."""
     area, off = cell.settings.workspace, []
     here = cell.arm.pose()
-    cell.arm.move_to(replace(here, z=max(here.z, HIGH_M)), SLOW_M_S)
+    cell.arm.move_to(replace(here, z=max(here.z, _high(cell))), SLOW_M_S)
     ring = [
         (area.x_min, area.y_min),
         (area.x_max, area.y_min),
@@ -148,7 +146,7 @@ def corners(cell: Workcell) -> str:
         (area.x_min, area.y_max),
     ]
     for x, y in [*ring, _middle(cell)]:
-        target = PlanarPose(x, y).at_height(HIGH_M)
+        target = PlanarPose(x, y).at_height(_high(cell))
         off.append(float(np.linalg.norm(cell.arm.move_to(target, SLOW_M_S).xyz - target.xyz)))
     return f"four corners and the middle, at most {1000 * max(off):.1f} mm off"
 
@@ -157,9 +155,9 @@ def touch(cell: Workcell) -> str:
     """The table is where it is said to be, and nothing lies in the middle."""
     limits, lowest = cell.arm.limits, cell.settings.handling.pick_z_m
     x, y = _middle(cell)
-    cell.arm.move_to(PlanarPose(x, y).at_height(HIGH_M), SLOW_M_S)
+    cell.arm.move_to(PlanarPose(x, y).at_height(_high(cell)), SLOW_M_S)
     reached = cell.arm.lower_until_contact(lowest, FEEL_M_S, min(FEEL_N, limits.max_contact_force_n))
-    cell.arm.move_to(replace(reached, z=HIGH_M), SLOW_M_S)
+    cell.arm.move_to(replace(reached, z=_high(cell)), SLOW_M_S)
     if reached.z > lowest + LIES_M:
         raise ArmError(
             f"something was touched at z {1000 * reached.z:.0f} mm, {1000 * (reached.z - lowest):.0f} mm too early; "
@@ -172,6 +170,11 @@ def park(cell: Workcell) -> str:
     """The arm gets out of the camera's way."""
     pose = cell.arm.park()
     return f"parked at x {pose.x:.2f}, y {pose.y:.2f}, z {pose.z:.2f} m"
+
+
+def _high(cell: Workcell) -> float:
+    """Where the tool moves to and fro, metres: above whatever may lie on the table, and where every arm gets to."""
+    return cell.settings.handling.travel_z_m
 
 
 def _middle(cell: Workcell) -> tuple[float, float]:

@@ -17,23 +17,26 @@ YAW_TOLERANCE_RAD = 0.02
 WIDTH_TOLERANCE_M = 0.003
 
 
-def check_arm(arm: GuardedArm, speed_m_s: float = 0.5) -> None:
+def check_arm(
+    arm: GuardedArm, speed_m_s: float = 0.5, between_z_m: tuple[float, float] = (0.15, 0.25)
+) -> None:
     """Raise `AssertionError`, saying what is broken, unless motions end where they were sent and wild ones are refused.
 
-    The arm really moves: above the middle of its workspace, 15 to 25 cm up, at `speed_m_s`, with nothing there and
-    nothing in its hand.
+    The arm really moves: above the middle of its workspace, between two heights, the lower one first, at `speed_m_s`,
+    with nothing there and nothing in its hand.
     """
     assert isinstance(arm, Arm), "an arm has every method of `baggie.workcell.arm.Arm`"
     area = arm.limits.workspace
     center = PlanarPose((area.x_min + area.x_max) / 2, (area.y_min + area.y_max) / 2, 0.3)
-    target = center.at_height(0.25)
+    low_z, high_z = between_z_m
+    target = center.at_height(high_z)
     reached = arm.move_to(target, speed_m_s)
     _check_there(reached, target, "move_to ends where it was sent")
     _check_there(arm.pose(), reached, "move_to returns the pose really reached")
 
-    lowered = arm.lower_until_contact(0.15, speed_m_s, 20.0)
+    lowered = arm.lower_until_contact(low_z, speed_m_s, 20.0)
     _check_there(
-        lowered, center.at_height(0.15), "lower_until_contact goes straight to z_min where nothing is"
+        lowered, center.at_height(low_z), "lower_until_contact goes straight to z_min where nothing is"
     )
 
     widest = arm.info.max_width_m
