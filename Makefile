@@ -29,20 +29,21 @@ bench: $(STAMP) gl ## tables of speed and memory
 
 results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: many hours on two cores
 	$(BIN)/python benchmarks/collection.py --out runs/recording
-	for cell in 0 6 7 8 9 10 11 12 13 14; do \
+	for cell in 16 17 18 19; do \
 	    $(BIN)/baggie collect --attempts 260 --seed $$cell --cell $$cell --out runs/recordings/cell-$$cell || exit; done
-	$(BIN)/baggie collect --attempts 460 --seed 5 --cell 5 --out runs/recordings/cell-5
-	$(BIN)/baggie collect --scenery varied --attempts 260 --seed 5 --cell 0 --out runs/recordings/varied-0
+	$(BIN)/baggie collect --attempts 460 --seed 15 --cell 15 --out runs/recordings/cell-15
+	$(BIN)/baggie collect --scenery varied --attempts 260 --seed 16 --cell 16 --out runs/recordings/varied-16
 	$(BIN)/python benchmarks/policies.py
 	$(BIN)/python benchmarks/generalisation.py
 	$(BIN)/python benchmarks/data_curve.py
 	$(BIN)/python benchmarks/ablations.py
 	for experiment in curves virtual-goals printed-card color-mask report; do \
 	    $(BIN)/python benchmarks/published.py $$experiment || exit; done
+	for protocol in few published; do $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
-	$(BIN)/python benchmarks/media.py --cell 5 --policy runs/policies/cell-5/keypoint
-	$(BIN)/python benchmarks/learned_map.py --policy runs/policies/cell-5/keypoint --data runs/recordings/cell-5
+	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint
+	$(BIN)/python benchmarks/learned_map.py --policy runs/policies/cell-15/keypoint --data runs/recordings/cell-15
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
 

@@ -18,12 +18,15 @@ Batch = dict[str, Tensor]
 class Recipe(Protocol):
     """One way to teach one kind of policy. It is made with the attempts it teaches from."""
 
-    steps: ClassVar[int]
-    """Batches, unless told otherwise."""
     average: ClassVar[bool]
     """Whether the exponential moving average of the weights is what is kept, rather than the last ones."""
     max_gradient: ClassVar[float | None]
     """The norm gradients are clipped to."""
+
+    @property
+    def steps(self) -> int:
+        """Batches, unless told otherwise."""
+        ...
 
     @property
     def policy(self) -> LearnedPolicy:

@@ -28,6 +28,7 @@ from baggie.types import Attempt
 
 _RATE = {"fast": 1e-3, "paper": 1e-4}
 _BATCH = {"fast": 4, "paper": 1}
+_STEPS = {"fast": 3200, "paper": 10_000}
 _WARM_UP = 0.03
 """Of the training of `fast`."""
 _BESIDE_PICK_PX = 1.0
@@ -52,7 +53,6 @@ class TransporterOptions:
 class TransporterRecipe:
     """Scenes are moved as wholes; the place is learned relative to a pick that is a little off, as picks are."""
 
-    steps: ClassVar[int] = 3200
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 10.0
     policy: TransporterPolicy
@@ -78,6 +78,7 @@ class TransporterRecipe:
         self._maps = MovedMaps(demonstrations, options.moves)
         self._symmetry = demonstrations.symmetry
         self._batch = options.batch or _BATCH[options.preset]
+        self.steps = _STEPS[options.preset]
 
     def optimizer(self) -> Optimizer:
         """Adam, as published; at ten times the rate for `fast`."""
