@@ -82,6 +82,14 @@ class Kinematics:
         tilt = np.arccos(np.clip(-transform[2, 2], -1.0, 1.0))
         raise self._unreachable(transform[:3, 3], f"tilted by {np.rad2deg(tilt):.0f} degrees")
 
+    def approach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
+        """Joint positions `(7,)` for `transform`, `T_base_hand` `(4, 4)`, a centimetre or so from those of `start`.
+
+        For following, a step at a time: there to a tenth of a millimetre, or as near as joint limits allow.
+        """
+        self._configuration.update(self._full(start))
+        return self._solve(transform, iterations=2)
+
     def _solve(self, transform: FloatArray, iterations: int) -> FloatArray:
         """Joint positions `(7,)` nearer to `T_base_hand` `(4, 4)`, from those of the last solution."""
         self._task.set_target(mink.SE3.from_matrix(transform))
