@@ -90,6 +90,7 @@ def test_its_camera_keeps_the_contract_of_cameras_and_shows_the_scene_now(
     assert np.abs(np.diff(centers, axis=0)).max(axis=1) == pytest.approx([120, 240], rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabControl) -> None:
     place = PlanarPose(0.5, 0.15, 0.0)
     outcome = cell.execute(PickPlace(HERE, place))
@@ -172,7 +173,7 @@ def test_a_bumped_camera_sees_everything_elsewhere(cell: Workcell, control: LabC
     after = find_bag(cell.camera.look().color, cell.settings.object_color)
     assert before is not None
     assert after is not None
-    assert 4 < np.linalg.norm(after.center - before.center) < 60
+    assert np.linalg.norm(after.center - before.center) == pytest.approx(15, abs=4)
 
 
 def test_a_camera_that_freezes_or_goes_away_is_noticed_and_comes_back(
@@ -180,7 +181,7 @@ def test_a_camera_that_freezes_or_goes_away_is_noticed_and_comes_back(
 ) -> None:
     settings = read_workcell_file(file).camera
     assert settings is not None
-    camera = open_camera(settings.model_copy(update={"timeout_s": 2.0}))
+    camera = open_camera(settings.model_copy(update={"timeout_s": 6.0}))
     control.fault("freeze-camera", seconds=30)
     with pytest.raises(CameraError, match="has frozen"):
         look_twice(camera)

@@ -101,7 +101,7 @@ class Lab:
         def act() -> None:
             try:
                 answer.set_result(action())
-            except BaseException as error:
+            except Exception as error:
                 answer.set_exception(error)
 
         self._calls.put(act)

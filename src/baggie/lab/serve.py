@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable
-from contextlib import suppress
 
 from baggie.files import write_text
 from baggie.lab.faults import cause
@@ -44,8 +44,9 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None]) -> None:
     if options.out is not None:
         write_text(options.out, text)
     announce(text)
-    with suppress(KeyboardInterrupt):
-        lab.run()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: lab.close())
+    lab.run()
     server.close()
 
 
