@@ -42,6 +42,10 @@ class LabControl:
         """Put the bag somewhere else."""
         self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw)
 
+    def show_paddle(self, shown: bool) -> None:
+        """Put the calibration paddle into the hand, or take it away; see `baggie.workcell.workcell.Marker`."""
+        self._ask("POST", "paddle", shown=int(shown))
+
     def fault(self, name: str, after: float = 0.0, seconds: float | None = None) -> None:
         """Let something of `baggie.lab.faults.FAULTS` go wrong, `after` seconds of the lab's time from now."""
         lasting = {} if seconds is None else {"seconds": seconds}

@@ -4,6 +4,7 @@ GET  /camera.mjpg
 GET  /truth
 POST /reset?seed=3
 POST /bag?x=0.5&y=0.1&yaw=0
+POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
 """
 
@@ -80,11 +81,14 @@ class _Handler(BaseHTTPRequestHandler):
                 case "/bag":
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
                     lab.call(lambda: lab.lay_bag(pose))
+                case "/paddle":
+                    shown = bool(_number(words, "shown"))
+                    lab.call(lambda: lab.world.show_paddle(shown))
                 case "/fault":
                     after, seconds = _number(words, "after", 0.0), _number(words, "seconds", DEFAULT_S)
                     lab.call(lambda: cause(words.get("name", ""), lab, camera, after, seconds))
                 case other:
-                    raise BaggieError(f"expected /reset, /bag or /fault, got {other}")
+                    raise BaggieError(f"expected /reset, /bag, /paddle or /fault, got {other}")
         except BaggieError as error:
             self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         else:
