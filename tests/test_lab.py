@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 
 import baggie
+from baggie.collect import CollectOptions, collect
+from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.lab.control import LabControl
@@ -200,6 +203,32 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         control.fault("earthquake")
     with pytest.raises(BaggieError, match="start one with: baggie lab"):
         LabControl("http://127.0.0.1:9").truth()
+
+
+@pytest.mark.slow
+def test_it_calibrates_and_collects_unattended(
+    file: Path, cell: Workcell, control: LabControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.close()
+    map_file, with_map, out = tmp_path / "map.yaml", tmp_path / "cell.yaml", tmp_path / "bags"
+    monkeypatch.setattr(sys, "stdin", io.StringIO(8 * "\n"))  # a person who presses Enter
+    control.show_paddle(True)
+    calibrate_image_to_robot(
+        ImageToRobotOptions(
+            workcell=str(file),
+            marker="color:217,13,191",
+            marker_in_hand=(0.09, 0.0, 0.0),
+            columns=3,
+            out=map_file,
+        )
+    )
+    control.show_paddle(False)
+    with_map.write_text(f"{file.read_text()}calibrations: {{image_to_robot: {map_file}}}\n")
+    summary = collect(CollectOptions(out=out, attempts=2, workers=1, workcell=with_map))
+    assert summary["succeeded"] == 2
+    last = baggie.open_dataset(out)[-1]
+    assert last.truth is None
+    assert control.bag_pose().distance(last.outcome.executed.place) < 0.03
 
 
 def test_a_trail_knows_velocity_and_acceleration_of_what_was_commanded() -> None:

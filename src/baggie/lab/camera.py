@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 
@@ -12,7 +13,7 @@ from baggie.lab.lab import Lab
 PERIOD_S = 0.2
 LONGEST_PERIOD_S = 1.0
 SHARE = 1 / 3
-"""Of the time, which drawing may take on a slow computer: physics waits meanwhile."""
+"""Of the time, which drawing may take on a slow computer: physics needs the processor, too."""
 BUSY = 1.6
 """So many times longer are periods while the arm moves and nobody looks. Less than twice, or a client that knows this
 rhythm takes the first frames of a faster one for old ones."""
@@ -32,6 +33,7 @@ class LabCamera:
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
         self._last = b""
+        self._developing = threading.Lock()
         self.heal()
 
     def freeze(self, seconds: float) -> None:
@@ -63,6 +65,8 @@ class LabCamera:
 
     def _frame(self) -> bytes:
         if not self._last or time.monotonic() >= self._frozen_until:
-            picture = self._lab.call(self._lab.picture)
+            with self._developing:
+                self._lab.call(self._lab.expose)
+                picture = self._lab.darkroom.develop()
             self._last = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _QUALITY)[1].tobytes()
         return self._last

@@ -12,15 +12,14 @@ from typing import TypeVar
 from baggie import seeds
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
+from baggie.lab.darkroom import Darkroom
 from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.sim.bag import BagParameters
 from baggie.sim.cell import draw_cell
 from baggie.sim.layout import lay_bags
-from baggie.sim.renderer import CameraRenderer
 from baggie.sim.sensor import Exposure
 from baggie.sim.world import World
-from baggie.types import Image
 from baggie.workcell.arm_motions import PARK
 from baggie.workcell.workcell import WorkcellSettings
 
@@ -45,7 +44,7 @@ class Lab:
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
-        self._camera = CameraRenderer(self.world)
+        self.darkroom = Darkroom(self.world)
         self._pace = pace
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -58,7 +57,7 @@ class Lab:
         try:
             self.fci.init()
         except OSError:
-            self._camera.close()
+            self.darkroom.close()
             raise BaggieError(
                 f"ports {PORTS[0]} and {PORTS[1]} of {host} cannot be had, perhaps because another lab has them; give "
                 "another address, such as --host 127.0.0.2"
@@ -78,7 +77,7 @@ class Lab:
                     time.sleep(max(0.0, STEP_S / self._pace - (time.monotonic() - began)))
         finally:
             self.fci.cleanup()
-            self._camera.close()
+            self.darkroom.close()
 
     def close(self) -> None:
         """End `run`; from any thread."""
@@ -139,9 +138,9 @@ class Lab:
                 "expected the arm at rest, to reset the scene; somebody moves it: wait until it stops"
             )
         self.seed = seed
-        self._rng = seeds.generator(seeds.LAB, seed)
-        self._exposure = Exposure.random(self._rng)
-        bag, _ = lay_bags(self.settings.workspace, [], two=False, rng=self._rng)
+        rng = seeds.generator(seeds.LAB, seed)
+        self._exposure = Exposure.random(rng)
+        bag, _ = lay_bags(self.settings.workspace, [], two=False, rng=rng)
         self.world.reset(bag)
         self.world.put_joints(PARK)
         self.robot.hold()
@@ -151,6 +150,6 @@ class Lab:
         """Put the bag, undented, somewhere else, as a person would."""
         self.world.put_bag(pose)
 
-    def picture(self) -> Image:
-        """What the camera sees now."""
-        return self._camera.look(self._exposure, self._rng, depth=False).color
+    def expose(self) -> None:
+        """Take a picture of the scene as it is now, for the darkroom to develop."""
+        self.darkroom.take(self.world, self._exposure)
