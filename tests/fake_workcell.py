@@ -131,6 +131,7 @@ class FakeCell:
     """
 
     settings: WorkcellSettings = field(default_factory=WorkcellSettings)
+    repeatable: bool = True
     scatter_m: float = 0.003
     script: list[str | None] = field(default_factory=list)
     miss_rate: float = 0.0

@@ -10,7 +10,7 @@ FLOORS = [
     {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress"},
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
-    {"collect", "commissioning", "learning", "evaluation"},
+    {"collect", "commissioning", "lab", "learning", "evaluation"},
     {"cli", "cli_calibrate", "cli_output", "cli_workcell", "envs", "__main__", "__init__"},
 ]
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

@@ -228,6 +228,36 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
+def test_one_arm_is_not_shared_by_workers(tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: {kind: franka, host: 192.0.2.1}\ncamera: 0\n")
+    with pytest.raises(BaggieError, match=r"expected --workers 1 .* one arm, got 2"):
+        collect(CollectOptions(out=tmp_path / "data", workcell=file, workers=2))
+
+
+def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
+    from baggie.policies import load_policy
+
+    cell = open_fake()
+    cell.repeatable, cell.script = False, [None] * 5
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
+    assert len(cell.script) == 2  # nothing was done over again
+
+
+def test_where_nobody_knows_the_truth_none_is_recorded(reference, monkeypatch):
+    from baggie.policies import load_policy
+
+    cell = open_fake()
+    monkeypatch.setattr(cell, "truth", lambda: None)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    (attempt,) = sit((0,))
+    assert attempt.outcome.success
+    assert attempt.truth is None
+
+
 def test_missing_ids_are_grouped_by_sitting_early_ones_first():
     assert missing_sittings(25, {0, 1, 2, 12, 30}) == [
         tuple(range(3, 10)),

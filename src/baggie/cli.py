@@ -25,6 +25,7 @@ from baggie.evaluation.report import ReportOptions
 from baggie.evaluation.report import report as run_report
 from baggie.evaluation.validate import ValidateOptions
 from baggie.evaluation.validate import validate as run_validate
+from baggie.lab.options import LabOptions
 from baggie.learning import TrainOptions
 from baggie.learning import train as run_train
 from baggie.policies.export import ExportOptions
@@ -156,6 +157,21 @@ def doctor(options: DoctorOptions, json: bool = False) -> None:
         show(findings, json)
 
 
+def lab(options: LabOptions) -> None:
+    """Run a virtual lab: a simulated workcell that is reached as a real one is. Ctrl-C ends it.
+
+    Prints the workcell file that opens it.
+
+    Example: baggie lab --out lab.yaml
+
+    Args:
+        options: What is in it, and where it is reached.
+    """
+    from baggie.lab.serve import serve_lab  # noqa: PLC0415 -- MuJoCo takes its time
+
+    serve_lab(options, lambda text: print(text, flush=True))
+
+
 def print_target(options: PrintOptions, json: bool = False) -> None:
     """Make a marker, a board or a goal card as a PDF at true size.
 
@@ -181,6 +197,7 @@ VERBS: dict[str, Callable[..., None]] = {
         export,
         workcell,
         doctor,
+        lab,
         calibrate,
         print_target,
     )

@@ -18,6 +18,8 @@ CALIBRATION: Final = 0xCA11B8
 """Scenes in which a cell is calibrated: `(CALIBRATION, seed)`."""
 EVALUATION: Final = 0xE7A10A7E
 """Scenes in which policies are judged: `(EVALUATION, seed, episode)`."""
+LAB: Final = 0x1AB
+"""Scenes of the virtual lab: `(LAB, seed)`."""
 
 
 def generator(*stream: int) -> np.random.Generator:

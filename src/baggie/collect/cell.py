@@ -27,6 +27,11 @@ class CollectorCell(Protocol):
     @property
     def settings(self) -> WorkcellSettings: ...  # noqa: D102 -- a workcell's attributes
 
+    @property
+    def repeatable(self) -> bool:
+        """Whether `reset` gives the same scene again, and with it the same attempts."""
+        ...
+
     calibrations: Calibrations
     watch: Watch | None
     """Set once the cell is calibrated; then `look` raises `BumpedError` when the camera or the table has moved."""
@@ -40,15 +45,15 @@ class CollectorCell(Protocol):
         ...
 
     def reset(self, seed: Sequence[int]) -> None:
-        """A new scene, drawn from the stream these integers name."""
+        """A new scene, drawn from the stream these integers name, where the cell is repeatable."""
         ...
 
     def rescue(self) -> bool:
         """Get the object back into the workspace; whether that was done."""
         ...
 
-    def truth(self) -> PlanarPose:
-        """The object's true pose, recorded for evaluation only."""
+    def truth(self) -> PlanarPose | None:
+        """The object's true pose, recorded for evaluation only; None where nobody knows."""
         ...
 
     def show_paddle(self, shown: bool) -> None:

@@ -47,13 +47,16 @@ def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> Col
 def open_file_cell(path: Path, number: int) -> CollectorCell:
     """The workcell a file describes. Raises `BaggieError` for a file that cannot be used, or of another cell."""
     from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.real import RealWorkcell  # noqa: PLC0415
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
     cell = open_workcell(path)
+    if isinstance(cell, RealWorkcell):
+        return cell
     if not isinstance(cell, SimulatedWorkcell):
         cell.close()
         raise BaggieError(
-            f"expected {path} to describe a simulated workcell, to collect in; give one with `arm: sim`"
+            f"expected {path} to describe a workcell with an arm, to collect in; a recording has none"
         )
     if cell.world.cell.number != number:
         cell.close()
@@ -82,7 +85,7 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     with DatasetWriter(
         options.out,
         task=INSTRUCTIONS[options.task],
-        robot_type="simulated FR3",
+        robot_type=_robot(options),
         picture_size=PICTURE_SIZE,
         collection=collection,
     ) as writer:
@@ -100,6 +103,21 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
         "attempts_per_minute": rate,
         "coverage_picture": str(options.out / COVERAGE_FILE),
     }
+
+
+def _robot(options: CollectOptions) -> str:
+    """What the recording says moved. Raises `BaggieError` where there are more workers than arms."""
+    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry, read_workcell_file  # noqa: PLC0415
+
+    arm = read_workcell_file(options.workcell).arm if options.workcell is not None else None
+    if not isinstance(arm, REAL_ARMS):
+        return "simulated FR3"
+    if options.workers != 1:
+        raise BaggieError(
+            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
+        )
+    return MODELS[arm.model].title if isinstance(arm, FrankaEntry) else arm.kind
 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
@@ -165,7 +183,8 @@ def _open_worker(
 
     def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
         number = wanted[0] // ATTEMPTS_PER_SITTING
-        for attempt in run_sitting(cell, image_to_robot, recording, number):
+        first = 0 if cell.repeatable else wanted[0] % ATTEMPTS_PER_SITTING
+        for attempt in run_sitting(cell, image_to_robot, recording, number, first=first):
             if attempt.attempt_id in wanted:
                 yield attempt
             if attempt.attempt_id == wanted[-1]:

@@ -43,8 +43,10 @@ def run_sitting(
     recording: Recording,
     number: int,
     ask: Ask | None = None,
+    *,
+    first: int = 0,
 ) -> Iterator[Attempt]:
-    """The ten attempts of one sitting, one by one as they are finished, failed ones too.
+    """The ten attempts of one sitting, or those from `first` on, one by one as they are finished, failed ones too.
 
     `ask` is called with one line when a person is needed; it is the cell's own `rescue` unless given. Raises
     `Stopped` when nobody could help, or when it stalls again after help.
@@ -54,7 +56,7 @@ def run_sitting(
     rng = seeds.generator(seeds.PLACES, recording.seed, number)
     doubted = helped = False
     failures = 0
-    for index in range(ATTEMPTS_PER_SITTING):
+    for index in range(first, ATTEMPTS_PER_SITTING):
         time = cell.clock()
         turn = run_turn(Turn(cell, image_to_robot, rng, ask, doubted_before=doubted))
         doubted = turn.doubted
@@ -86,7 +88,7 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
     assert turn.action is not None
     assert turn.outcome is not None
     assert turn.after is not None
-    assert turn.truth_before is not None
+    truth_after = turn.cell.truth()
     attempt = Attempt(
         attempt_id=attempt_id,
         task=recording.instruction,
@@ -99,7 +101,7 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
         cell=recording.cell,
         seed=recording.seed,
         time=time,
-        truth=Truth(turn.truth_before, turn.cell.truth()),
+        truth=Truth(turn.truth_before, truth_after) if turn.truth_before and truth_after else None,
     )
     return fit(attempt, recording.size)
 

@@ -124,6 +124,14 @@ class Kinematics:
         joints = (np.abs(np.diff(path, axis=0)) / joint_speeds_rad_s).max(axis=1)
         return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
 
+    def approach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
+        """Joint positions `(J,)` for `transform`, `T_base_hand` `(4, 4)`, a centimetre or so from those of `start`.
+
+        For following, a step at a time: there to a tenth of a millimetre, or as near as joint limits allow.
+        """
+        self._configuration.update(self._full(start))
+        return self._solve(transform, iterations=2)
+
     def _solve(self, transform: FloatArray, iterations: int) -> FloatArray:
         """Joint positions `(J,)` nearer to `T_base_hand` `(4, 4)`, from those of the last solution."""
         self._task.set_target(mink.SE3.from_matrix(transform))

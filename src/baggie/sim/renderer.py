@@ -4,25 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.cell import PICTURE_SIZE
+from baggie.sim.cell import PICTURE_SIZE, Cell
 from baggie.sim.gl import require_backend
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import Image, Observation
+from baggie.vision.targets import Target
 
 DETAILED_GROUP, HULL_GROUP = 2, 3  # the geom groups of `fr3.xml`
 HIDDEN_GROUP = 5  # which no renderer draws
 
 
+class Scene(Protocol):
+    """What a camera looks at: an `ArmWorld`, or a copy of one."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    cell: Cell
+    printed: dict[str, tuple[Target, float]]
+
+    @property
+    def time(self) -> float: ...  # noqa: D102 -- a world's attribute
+
+
 class CameraRenderer:
     """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
 
-    def __init__(self, world: ArmWorld) -> None:
+    def __init__(self, world: Scene) -> None:
         require_backend()
         self._world = world
         self._lens = world.cell.lens
@@ -82,7 +96,7 @@ class CameraRenderer:
 class _Textures:
     """A renderer's own copies of the world's textures, all of them fresh when it is made."""
 
-    def __init__(self, world: ArmWorld, renderer: mujoco.Renderer) -> None:
+    def __init__(self, world: Scene, renderer: mujoco.Renderer) -> None:
         self._world = world
         self._renderer = renderer
         self._copied = dict(world.printed)

@@ -30,7 +30,8 @@ HICCUPS = {"communication_constraints_violation"}
 WHEELS = "https://timschneider42.github.io/franky/whl/by-robot-server-version"
 
 _S = np.sqrt(0.5)
-_T_FLANGE_TOOL = rigid([[_S, _S, 0], [-_S, _S, 0], [0, 0, 1]], [0, 0, TOOL_OFFSET_M])
+T_FLANGE_TOOL = rigid([[_S, _S, 0], [-_S, _S, 0], [0, 0, 1]], [0, 0, TOOL_OFFSET_M])
+"""Of Franka's hand, as Desk sets it: its x axis is turned by -45 degrees from the flange's."""
 
 
 class HiccupError(ReachError):
@@ -180,7 +181,7 @@ class FrankaLink:
 
 def _check_tool(T_flange_tool: FloatArray) -> None:
     """Raise `ArmError` unless the robot's own tool is the point between the fingertips of Franka's hand."""
-    off_m, off_rad = difference(_T_FLANGE_TOOL, T_flange_tool)
+    off_m, off_rad = difference(T_FLANGE_TOOL, T_flange_tool)
     if off_m > 0.001 or off_rad > 0.01:
         raise ArmError(
             f"expected Franka's hand as the end effector, {1000 * TOOL_OFFSET_M:.1f} mm from flange to fingertips; the "

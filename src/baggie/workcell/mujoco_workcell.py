@@ -15,6 +15,7 @@ class MujocoWorkcell(Workcell):
     """A workcell whose table and arm are a running simulation."""
 
     world: ArmWorld
+    repeatable = True
 
     def clock(self) -> float:
         """Seconds of simulated time since the last reset."""

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
+from baggie.errors import BaggieError
 from baggie.workcell.arm import Arm
 from baggie.workcell.cameras.live import LiveCamera
 from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.watchdog import Watchdog
 from baggie.workcell.workcell import Workcell, WorkcellSettings
-
-SILENT_S = 1.5
-"""A camera from which nothing has come for so long stops the arm."""
 
 
 @runtime_checkable
@@ -23,12 +22,29 @@ class _Closable(Protocol):
 class RealWorkcell(Workcell):
     """Any arm and any camera. Nobody puts things back here: `rescue` says that it cannot."""
 
+    repeatable = False
+
     def __init__(self, arm: Arm, camera: OpenCamera, settings: WorkcellSettings) -> None:
         super().__init__(arm, camera, settings)
         if isinstance(camera, LiveCamera):
-            self.arm.watchdog = Watchdog(camera.silent_s, SILENT_S, camera.name)
+            self.arm.watchdog = Watchdog(camera.silent_s, camera.frame_timeout_s, camera.name)
         self._devices = (arm, camera)
         self._began = time.monotonic()
+
+    def reset(self, seed: Sequence[int]) -> None:
+        """Nobody lays the table anew: the arm parks, and the scene stays as it is, whatever the seed."""
+        self.arm.park()
+
+    def truth(self) -> None:
+        """Nobody knows where the object really is."""
+
+    def show_paddle(self, shown: bool) -> None:
+        """Raises `BaggieError`: a person puts things into this hand, for a calibration that the file points to."""
+        if shown:
+            raise BaggieError(
+                f"expected {self.settings.name} to be calibrated, got no image_to_robot below `calibrations` in its "
+                "file; make one with: baggie calibrate image-to-robot --workcell FILE"
+            )
 
     def clock(self) -> float:
         """Seconds since it was opened."""

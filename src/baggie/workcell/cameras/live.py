@@ -106,6 +106,11 @@ class LiveCamera:
             self._last = observation.color.copy()  # the caller may draw into its own
             return replace(observation, intrinsics=self.intrinsics)
 
+    @property
+    def frame_timeout_s(self) -> float:
+        """A stream that is silent for longer is opened again."""
+        return self._settings.frame_timeout_s
+
     def silent_s(self) -> float:
         """Seconds since the last frame came, whether somebody looked at it or not."""
         return time.monotonic() - self._came

@@ -1,0 +1,89 @@
+"""What can go wrong in the lab on demand, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from baggie.errors import BaggieError
+from baggie.lab.camera import LabCamera
+from baggie.lab.fci import LATE
+from baggie.lab.lab import Lab
+from baggie.lab.robot import TICK_S
+
+DEFAULT_S = 3.0
+CAMERA_SHIFT_M = np.array([0.01, 0.0, 0.0])
+CAMERA_TURN_RAD = np.array([-0.01, 0.0, 0.0])
+"""10 mm and half a degree, what an elbow does to a tripod: 15 pixels of 1280 on the table."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that goes wrong."""
+
+    what: str
+    """In one line, for people."""
+    happen: Callable[[Lab, LabCamera, float], None]
+    """Called between two ticks, with seconds that it is to last, where it lasts."""
+
+
+FAULTS = {
+    "refuse": Fault("the robot refuses the next motion", lambda lab, _camera, _s: lab.fci.refuse()),
+    "reflex": Fault(
+        "the motion under way, or the next, ends as if the arm had run into something",
+        lambda lab, _camera, _s: lab.fci.abort("cartesian_reflex"),
+    ),
+    "joint-reflex": Fault(
+        "the same, felt in a joint", lambda lab, _camera, _s: lab.fci.abort("joint_reflex")
+    ),
+    "late-packet": Fault(
+        "the motion under way, or the next, ends because a packet came too late",
+        lambda lab, _camera, _s: lab.fci.abort(LATE),
+    ),
+    "stuck": Fault(
+        "the robot does not recover from errors any more", lambda lab, _camera, _s: lab.fci.get_stuck()
+    ),
+    "drop-packets": Fault(
+        "the robot hears nothing of the client for these seconds of its own time",
+        lambda lab, _camera, seconds: lab.fci.lose_packets(round(seconds / TICK_S)),
+    ),
+    "cut-link": Fault(
+        "the robot's cable is out for these seconds", lambda lab, _camera, seconds: lab.fci.cut(seconds)
+    ),
+    "slip": Fault("the hand loses what it holds", lambda lab, _camera, _s: lab.robot.hand.slip()),
+    "freeze-camera": Fault(
+        "the camera repeats one picture for these seconds",
+        lambda _lab, camera, seconds: camera.freeze(seconds),
+    ),
+    "unplug-camera": Fault(
+        "the camera's cable is out for these seconds", lambda _lab, camera, seconds: camera.unplug(seconds)
+    ),
+    "bump-camera": Fault(
+        "somebody runs into the camera, which stays where it is then",
+        lambda lab, _camera, _s: lab.world.bump_camera(CAMERA_SHIFT_M, CAMERA_TURN_RAD),
+    ),
+    "heal": Fault(
+        "nothing of this any more, but what is bumped stays so", lambda lab, camera, _s: _heal(lab, camera)
+    ),
+}
+
+
+def cause(name: str, lab: Lab, camera: LabCamera, after_s: float = 0.0, seconds: float = DEFAULT_S) -> None:
+    """Let something of `FAULTS` go wrong when `after_s` have passed in the lab, for `seconds` where it lasts.
+
+    Raises `BaggieError` for what is not there.
+    """
+    if name not in FAULTS:
+        raise BaggieError(f"expected a fault among {', '.join(FAULTS)}, got {name!r}")
+    if not (after_s >= 0 and seconds >= 0):
+        raise BaggieError(
+            f"expected times of a fault of at least 0 s, got after {after_s:g} s for {seconds:g} s"
+        )
+    lab.later(after_s, lambda: FAULTS[name].happen(lab, camera, seconds))
+
+
+def _heal(lab: Lab, camera: LabCamera) -> None:
+    lab.fci.heal()
+    camera.heal()

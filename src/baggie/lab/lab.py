@@ -1,0 +1,155 @@
+"""The virtual lab: a simulated workcell in which time goes on by itself, reached as a real robot is."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+from baggie import seeds
+from baggie.errors import BaggieError
+from baggie.geometry import PlanarPose
+from baggie.lab.darkroom import Darkroom
+from baggie.lab.fci import FciServer
+from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
+from baggie.sim.bag import BagParameters
+from baggie.sim.cell import draw_cell
+from baggie.sim.layout import lay_bags
+from baggie.sim.sensor import Exposure
+from baggie.sim.world import World
+from baggie.workcell.arm_motions import PARK
+from baggie.workcell.workcell import WorkcellSettings
+
+PORTS = (1337, 1338)
+"""Of robot and hand, given by the protocol."""
+BUSY_S = 0.1
+"""A robot that was moved less than this ago is likely to go on."""
+T = TypeVar("T")
+
+
+class Lab:
+    """Table, bag, camera and robot. `run` makes time pass; whatever else touches them does so between its ticks."""
+
+    def __init__(self, cell: int, seed: int, host: str, pace: float) -> None:
+        """`pace`: how many times as fast as real time it may go, 0 for as fast as it can.
+
+        Raises `BaggieError` where the robot's ports at `host` cannot be had.
+        """
+        self.host = host
+        self.settings = WorkcellSettings()
+        self.world = World(draw_cell(cell), BagParameters())
+        assert self.world.fingers is not None
+        self.robot = LabRobot(self.world, self.world.fingers)
+        self.fci = FciServer(self.robot, [host])
+        self.darkroom = Darkroom(self.world)
+        self._pace = pace
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._closing = threading.Event()
+        self._moved_at = 0.0
+        self.time = 0.0
+        """Seconds that have passed in the lab."""
+        self.seed = seed
+        self.reset(seed)
+        try:
+            self.fci.init()
+        except OSError:
+            self.darkroom.close()
+            raise BaggieError(
+                f"ports {PORTS[0]} and {PORTS[1]} of {host} cannot be had, perhaps because another lab has them; give "
+                "another address, such as --host 127.0.0.2"
+            ) from None
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Until somebody closes the lab."""
+        try:
+            while not self._closing.is_set():
+                began = time.monotonic()
+                for _ in range(TICKS_PER_STEP):
+                    self._tick()
+                self._between_steps()
+                if self._pace:
+                    time.sleep(max(0.0, STEP_S / self._pace - (time.monotonic() - began)))
+        finally:
+            self.fci.cleanup()
+            self.darkroom.close()
+
+    def close(self) -> None:
+        """End `run`; from any thread."""
+        self._closing.set()
+
+    @property
+    def closing(self) -> bool:
+        """Whether the lab is about to end, or has."""
+        return self._closing.is_set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether the arm is at work."""
+        return time.monotonic() - self._moved_at < BUSY_S
+
+    def call(self, action: Callable[[], T]) -> T:
+        """What `action` returns or raises, done between two ticks; from any thread but the one that runs the lab."""
+        answer: Future[T] = Future()
+
+        def act() -> None:
+            try:
+                answer.set_result(action())
+            except Exception as error:
+                answer.set_exception(error)
+
+        self._calls.put(act)
+        return answer.result(timeout=60)
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        """Do it when so much time has passed in the lab."""
+        self._later.append((self.time + seconds, action))
+
+    def _tick(self) -> None:
+        self.fci.process_commands()
+        self.robot.tick()
+        self.fci.send_state()
+        self.time += TICK_S
+
+    def _between_steps(self) -> None:
+        if self.fci.moving:
+            self._moved_at = time.monotonic()
+        due = [action for moment, action in self._later if moment <= self.time]
+        self._later = [(moment, action) for moment, action in self._later if moment > self.time]
+        while not self._calls.empty():
+            due.append(self._calls.get())
+        for action in due:
+            action()
+
+    # -- what is in it; between ticks ---------------------------------------------------------------------------
+
+    def reset(self, seed: int) -> None:
+        """The scene with this number: the bag anywhere, undented; arm parked, hand open, daylight another.
+
+        Raises `BaggieError` while somebody moves the arm.
+        """
+        if self.fci.moving:
+            raise BaggieError(
+                "expected the arm at rest, to reset the scene; somebody moves it: wait until it stops"
+            )
+        self.seed = seed
+        rng = seeds.generator(seeds.LAB, seed)
+        self._exposure = Exposure.random(rng)
+        bag, _ = lay_bags(self.settings.workspace, [], two=False, rng=rng)
+        self.world.reset(bag)
+        self.world.put_joints(PARK)
+        self.robot.hold()
+        self.fci.hold()
+
+    def lay_bag(self, pose: PlanarPose) -> None:
+        """Put the bag, undented, somewhere else, as a person would."""
+        self.world.put_bag(pose)
+
+    def expose(self) -> None:
+        """Take a picture of the scene as it is now, for the darkroom to develop."""
+        self.darkroom.take(self.world, self._exposure)

@@ -1,0 +1,181 @@
+"""The arm of a simulated world, as a Franka robot is: commanded each millisecond, with Franka's words for its state.
+
+It has what `franky-sim`'s server calls on a robot. Commands become targets of the world's own position servos; physics
+runs in steps of several milliseconds, so that a world with a soft bag in it keeps up.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from franky_sim.franka_robot_state import FrankaRobotState
+
+from baggie.geometry import FloatArray
+from baggie.lab.hand import LabHand
+from baggie.lab.trail import Trail, pose_difference
+from baggie.sim.arm_world import ArmWorld
+from baggie.sim.fingers import Fingers
+from baggie.sim.kinematics import Kinematics
+from baggie.sim.scene import ARM, HOME, arm_spec
+from baggie.sim.touch import upward_touch
+from baggie.workcell.franka_link import T_FLANGE_TOOL
+
+TICK_S = 0.001
+TICKS_PER_STEP = 8
+"""Of the protocol to one of the world: the longest step a world takes with a bag in it."""
+STEP_S = TICKS_PER_STEP * TICK_S
+_HAND = ("hand", "left_finger", "right_finger")
+
+
+class LabRobot:
+    """An FR3 with its hand. Joint angles `(7,)` radians; poses `(4, 4)`, `T_base_hand` as in `hand_matrix`."""
+
+    has_gripper = True
+
+    def __init__(self, world: ArmWorld, fingers: Fingers) -> None:
+        self._world = world
+        self.hand = LabHand(fingers)
+        self._kinematics = Kinematics(arm_spec().compile(), HOME)
+        self._hand_bodies = {world.model.body(ARM + name).id for name in _HAND}
+        self._tick = 0
+        self._joints = Trail(world.joints)
+        self._pose = Trail(np.eye(4), pose_difference)
+        self._follows_pose = False
+        self._last_command_tick = 0
+        self._T_nominal_tool = np.eye(4)
+        self.hold()
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """A millisecond passes."""
+        self._tick += 1
+        if self._tick % TICKS_PER_STEP == 0:
+            self._step()
+
+    def hold(self) -> None:
+        """Stay where the arm is: at the start, and after the world was reset."""
+        self._joints.rest(self._world.joints)
+        self._pose.rest(self._kinematics.hand_pose(self._joints.value))
+        self._follows_pose = False
+        self._pose_q = self._step_q = self._joints.value
+        self.hand.reset()
+        self._measure()
+
+    def _step(self) -> None:
+        if self._follows_pose:
+            q = self._kinematics.approach(self._joints.value, self._pose.value)
+            self._joints.take(q, STEP_S)
+        target = self._joints.value
+        self._world.set_joints(target, (target - self._step_q) / STEP_S)
+        self._step_q = target
+        self.hand.step(STEP_S)
+        self._world.advance(STEP_S)
+        self._measure()
+
+    def _measure(self) -> None:
+        world = self._world
+        self._q, self._dq = world.joints, world.joint_velocities
+        self._T_base_hand = self._kinematics.hand_pose(self._q)
+        self._force_n = upward_touch(world.model, world.data, self._hand_bodies)
+
+    # -- commands, as the server passes them on -------------------------------------------------------------------
+
+    def joint_position_control(self, q: FloatArray, has_new_command: bool = True) -> None:
+        """Go to joint angles."""
+        if not has_new_command:
+            return
+        if self._follows_pose:  # the server holds the joints once a motion is over
+            self._follows_pose = False
+            self._joints.rest(self._joints.value)
+        if np.array_equal(q, self._joints.value):
+            self._joints.rest(self._joints.value)
+        else:
+            self._joints.take(np.asarray(q, float), self._since_last_command())
+        if self._joints.value is not self._pose_q:
+            self._pose_q = self._joints.value
+            self._pose.rest(self._kinematics.hand_pose(self._pose_q))
+
+    def cartesian_position_control(
+        self, pose: FloatArray, elbow: FloatArray | None, has_new_command: bool = True
+    ) -> None:
+        """Bring the tool to a pose, `(7,)` x, y, z and a quaternion x, y, z, w; the elbow is the arm's own affair."""
+        if not has_new_command:
+            return
+        T_base_hand = np.eye(4)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, np.roll(pose[3:], 1))
+        T_base_hand[:3, :3], T_base_hand[:3, 3] = rotation.reshape(3, 3), pose[:3]
+        self._follows_pose = True
+        self._pose.take(T_base_hand, self._since_last_command())
+
+    def set_hand_goal(self, width_m: float, speed_m_s: float, force_n: float) -> None:
+        """Move the fingers."""
+        self.hand.aim(width_m, speed_m_s, force_n)
+
+    def _set_server(self, server: object) -> None:
+        """franky-sim introduces its server here; there is nothing to ask of it."""
+
+    def set_NE_T_EE(self, T_nominal_tool: tuple[float, ...]) -> None:
+        """Another end effector. It is said to be there; the hand is what it was."""
+        self._T_nominal_tool = np.reshape(T_nominal_tool, (4, 4), order="F")
+
+    def set_EE_T_K(self, T_tool_stiffness: tuple[float, ...]) -> None:
+        """Another frame for forces; taken note of by nobody."""
+
+    def set_load(self, mass_kg: float, center: tuple[float, ...], inertia: tuple[float, ...]) -> None:
+        """What the hand is said to carry; our servos need no telling."""
+
+    def _since_last_command(self) -> float:
+        seconds = TICK_S * max(self._tick - self._last_command_tick, 1)
+        self._last_command_tick = self._tick
+        return seconds
+
+    # -- state ----------------------------------------------------------------------------------------------------
+
+    @property
+    def hand_width(self) -> float:
+        """Metres between the fingers."""
+        return self.hand.width
+
+    @property
+    def inner_state(self) -> FrankaRobotState:
+        """The state where the arm is held, which is what the server wants to know when somebody connects or leaves."""
+        return self.state.replace(q=_floats(self._joints.value))
+
+    @property
+    def state(self) -> FrankaRobotState:
+        """What a Franka robot says of itself, as far as a client that commands positions can tell."""
+        q_d, pose, twist = self._joints.value, _columns(self._pose.value), _floats(self._pose.velocity)
+        return FrankaRobotState(
+            q=_floats(self._q),
+            dq=_floats(self._dq),
+            theta=_floats(self._q),
+            dtheta=_floats(self._dq),
+            q_d=_floats(q_d),
+            dq_d=_floats(self._joints.velocity),
+            ddq_d=_floats(self._joints.acceleration),
+            elbow=(float(self._q[2]), float(np.sign(self._q[3]))),
+            elbow_d=(float(q_d[2]), float(np.sign(q_d[3]))),
+            elbow_c=(float(q_d[2]), float(np.sign(q_d[3]))),
+            O_T_EE=_columns(self._T_base_hand),
+            O_T_EE_d=pose,
+            O_T_EE_c=pose,
+            O_dP_EE_d=twist,
+            O_dP_EE_c=twist,
+            O_ddP_EE_c=_floats(self._pose.acceleration),
+            F_T_EE=_columns(T_FLANGE_TOOL @ self._T_nominal_tool),
+            F_T_NE=_columns(T_FLANGE_TOOL),
+            NE_T_EE=_columns(self._T_nominal_tool),
+            O_F_ext_hat_K=(0.0, 0.0, self._force_n, 0.0, 0.0, 0.0),
+            control_command_success_rate=1.0,
+        )
+
+
+def _floats(values: FloatArray) -> tuple[float, ...]:
+    return tuple(values.tolist())
+
+
+def _columns(transform: FloatArray) -> tuple[float, ...]:
+    """As libfranka writes them."""
+    return tuple(transform.T.ravel().tolist())

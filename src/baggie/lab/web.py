@@ -1,0 +1,142 @@
+"""The lab over HTTP: the camera's stream, and a channel to look behind the scenes and let things go wrong.
+
+GET  /camera.mjpg
+GET  /truth
+POST /reset?seed=3
+POST /bag?x=0.5&y=0.1&yaw=0
+POST /paddle?shown=1
+POST /fault?name=reflex&after=2.0&seconds=3.0
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import asdict
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from baggie.errors import BaggieError
+from baggie.geometry import PlanarPose
+from baggie.lab.camera import LabCamera
+from baggie.lab.faults import DEFAULT_S, cause
+from baggie.lab.lab import Lab
+
+STREAM = "/camera.mjpg"
+_BOUNDARY = "frame"
+
+
+class LabServer:
+    """Serves a lab from threads of its own."""
+
+    def __init__(self, lab: Lab, port: int) -> None:
+        """Listens at once, at a free port if `port` is 0. Raises `BaggieError` where the port cannot be had."""
+        self.camera = LabCamera(lab)
+        try:
+            self._server = _Server((lab.host, port), _Handler)
+        except OSError as error:
+            raise BaggieError(
+                f"port {port} of {lab.host} cannot be had ({error.strerror}); give another --camera-port, or 0 for any"
+            ) from None
+        self._server.lab, self._server.camera = lab, self.camera
+        self.address = f"http://{lab.host}:{self._server.server_port}"
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    lab: Lab
+    camera: LabCamera
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        path = urlsplit(self.path).path
+        if path == STREAM:
+            self._stream()
+        elif path == "/truth":
+            self._answer(HTTPStatus.OK, self.server.lab.call(lambda: truth(self.server.lab)))
+        else:
+            self._answer(HTTPStatus.NOT_FOUND, {"error": f"expected {STREAM} or /truth, got {path}"})
+
+    def do_POST(self) -> None:
+        lab, camera = self.server.lab, self.server.camera
+        asked = urlsplit(self.path)
+        words = dict(parse_qsl(asked.query))
+        try:
+            match asked.path:
+                case "/reset":
+                    seed = int(_number(words, "seed", lab.seed))
+                    lab.call(lambda: lab.reset(seed))
+                case "/bag":
+                    pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
+                    lab.call(lambda: lab.lay_bag(pose))
+                case "/paddle":
+                    shown = bool(_number(words, "shown"))
+                    lab.call(lambda: lab.world.show_paddle(shown))
+                case "/fault":
+                    after, seconds = _number(words, "after", 0.0), _number(words, "seconds", DEFAULT_S)
+                    lab.call(lambda: cause(words.get("name", ""), lab, camera, after, seconds))
+                case other:
+                    raise BaggieError(f"expected /reset, /bag, /paddle or /fault, got {other}")
+        except BaggieError as error:
+            self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+        else:
+            self._answer(HTTPStatus.OK, lab.call(lambda: truth(lab)))
+
+    def log_message(self, *arguments: object) -> None:
+        """Nothing on the terminal."""
+
+    def _answer(self, status: HTTPStatus, content: dict[str, Any]) -> None:
+        body = json.dumps(content).encode()
+        self.send_response(status)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _stream(self) -> None:
+        if not self.server.camera.is_there:
+            self._answer(HTTPStatus.SERVICE_UNAVAILABLE, {"error": "the camera is unplugged"})
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.end_headers()
+        try:
+            for jpeg in self.server.camera.frames():
+                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+        except OSError:
+            pass  # the client hung up
+
+
+def truth(lab: Lab) -> dict[str, Any]:
+    """What only a simulation knows: metres, radians, in the robot's base frame; seconds of the lab's own time."""
+    return {
+        "seed": lab.seed,
+        "time": lab.time,
+        "bag": asdict(lab.world.bag_pose()),
+        "bag_lowest_z": float(lab.world.bag_points[:, 2].min()),
+        "gripper_width": lab.robot.hand.width,
+        "motions_begun": lab.fci.begun,
+        "errors_recovered": lab.fci.recovered,
+    }
+
+
+def _number(words: dict[str, str], name: str, default: float | None = None) -> float:
+    if name not in words and default is not None:
+        return default
+    try:
+        return float(words[name])
+    except (KeyError, ValueError):
+        raise BaggieError(f"expected a number as {name}, got {words.get(name, 'none')!r}") from None

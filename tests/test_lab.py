@@ -1,0 +1,263 @@
+"""The virtual lab, reached as a real workcell is: over Franka's protocol and a camera on the network."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import baggie
+from baggie.collect import CollectOptions, collect
+from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot
+from baggie.errors import ArmError, BaggieError, CameraError, ReachError
+from baggie.geometry import PlanarPose, ToolPose
+from baggie.lab.control import LabControl
+from baggie.lab.trail import Trail, pose_difference
+from baggie.types import PickPlace
+from baggie.vision.color_mask import find_bag
+from baggie.workcell.arm_contract import check_arm
+from baggie.workcell.camera import Camera
+from baggie.workcell.camera_contract import check_camera
+from baggie.workcell.cameras.opening import open_camera
+from baggie.workcell.real import RealWorkcell
+from baggie.workcell.workcell import Workcell
+from baggie.workcell.workcell_file import read_workcell_file
+
+pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+FAST_M_S = 1.2
+HERE = PlanarPose(0.5, 0.0, 0.0)
+HIGH = ToolPose(0.5, 0.15, 0.25)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A workcell file that opens a lab in a process of its own."""
+    path = tmp_path_factory.mktemp("lab") / "cell.yaml"
+    host = f"127.1.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
+    words = ["lab", "--host", host, "--camera-port", "0", "--pace", "0", "--out", str(path)]
+    lab = subprocess.Popen([sys.executable, "-m", "baggie", *words], stdout=subprocess.PIPE, text=True)
+    assert lab.stdout is not None
+    printed = lab.stdout.readline()
+    assert printed.startswith("# The virtual lab")
+    yield path
+    lab.send_signal(signal.SIGINT)
+    assert lab.wait(20) == 0
+
+
+@pytest.fixture(scope="module")
+def opened(file: Path) -> Iterator[Workcell]:
+    cell = baggie.open_workcell(file)
+    yield cell
+    cell.close()
+
+
+@pytest.fixture(scope="module")
+def control(file: Path) -> LabControl:
+    camera = read_workcell_file(file).camera
+    assert camera is not None
+    assert camera.source is not None
+    return LabControl(camera.source)
+
+
+@pytest.fixture
+def cell(opened: Workcell, control: LabControl) -> Workcell:
+    """With nothing wrong, the bag in the middle, and the arm parked."""
+    control.fault("heal")
+    control.reset(0)
+    control.lay_bag(HERE)
+    return opened
+
+
+def test_its_arm_keeps_the_contract_of_arms(cell: Workcell) -> None:
+    check_arm(cell.arm, speed_m_s=FAST_M_S)
+
+
+def test_its_camera_keeps_the_contract_of_cameras_and_shows_the_scene_now(
+    cell: Workcell, control: LabControl
+) -> None:
+    check_camera(cell.camera)
+    centers = []
+    for y in (0.0, 0.15, -0.15):
+        control.lay_bag(PlanarPose(0.5, y, 0.0))
+        found = find_bag(cell.camera.look().color, cell.settings.object_color)
+        assert found is not None
+        centers.append(found.center)
+    assert np.abs(np.diff(centers, axis=0)).max(axis=1) == pytest.approx([120, 240], rel=0.5)
+
+
+@pytest.mark.slow
+def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabControl) -> None:
+    place = PlanarPose(0.5, 0.15, 0.0)
+    outcome = cell.execute(PickPlace(HERE, place))
+    assert outcome.success
+    assert outcome.grasp_width_m > cell.settings.handling.empty_width_m
+    assert control.bag_pose().distance(place) < 0.03
+
+
+def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell) -> None:
+    cell.arm.move_to(HERE.at_height(0.15), FAST_M_S)
+    cell.arm.move_gripper(0.0)
+    assert 0.02 < cell.arm.lower_until_contact(0.012, 0.1, 3.0).z < 0.05
+    cell.arm.move_to(HERE.at_height(0.15), FAST_M_S)
+    cell.arm.move_to(ToolPose(0.5, 0.2, 0.15), FAST_M_S)
+    assert cell.arm.lower_until_contact(0.012, 0.1, 3.0).z == pytest.approx(0.012, abs=0.003)
+    cell.arm.move_to(ToolPose(0.5, 0.2, 0.15), FAST_M_S)
+
+
+def test_a_scene_is_the_same_for_the_same_seed(cell: Workcell, control: LabControl) -> None:
+    first, other, again = control.reset(1), control.reset(2), control.reset(1)
+    assert first.distance(again) < 1e-6
+    assert first.distance(other) > 0.01
+
+
+def test_a_refused_motion_moves_nothing_and_the_next_one_goes(cell: Workcell, control: LabControl) -> None:
+    control.fault("refuse")
+    before = cell.arm.pose()
+    with pytest.raises((ArmError, ReachError)):
+        cell.arm.move_to(HIGH, FAST_M_S)
+    np.testing.assert_allclose(cell.arm.pose().xyz, before.xyz, atol=1e-3)
+    cell.arm.move_to(HIGH, FAST_M_S)
+
+
+def test_a_reflex_is_recovered_from(cell: Workcell, control: LabControl) -> None:
+    control.fault("reflex")
+    with pytest.raises(ReachError, match="something is in its way"):
+        cell.arm.move_to(HIGH, FAST_M_S)
+    cell.arm.move_to(HIGH, FAST_M_S)
+
+
+def test_a_motion_with_lost_packets_is_finished(cell: Workcell, control: LabControl) -> None:
+    recovered = control.truth()["errors_recovered"]
+    control.fault("drop-packets", seconds=0.05, after=0.1)
+    cell.arm.move_to(replaced(HIGH, y=-0.15), 0.2)
+    assert control.truth()["errors_recovered"] == recovered + 1
+
+
+def test_a_robot_that_does_not_recover_says_so(cell: Workcell, control: LabControl) -> None:
+    control.fault("stuck")
+    control.fault("joint-reflex")
+    with pytest.raises(ArmError, match="does not recover by itself"):
+        cell.arm.move_to(HIGH, FAST_M_S)
+    control.fault("heal")
+    assert isinstance(cell, RealWorkcell)
+    cell._devices[0].close()  # it is for a person to start again; a new connection recovers
+    cell.arm.move_to(HIGH, FAST_M_S)
+
+
+def test_a_cut_link_is_an_error_and_comes_back(cell: Workcell, control: LabControl) -> None:
+    control.fault("cut-link", seconds=0.5, after=0.2)
+    with pytest.raises(ArmError, match=r"link to the robot at .* was lost"):
+        cell.arm.move_to(HIGH, 0.1)
+    cell.arm.move_to(HIGH, FAST_M_S)
+
+
+def test_a_grasp_that_slips_is_noticed(cell: Workcell, control: LabControl) -> None:
+    cell.arm.move_to(HERE.at_height(0.1), FAST_M_S)
+    cell.arm.lower_until_contact(0.014, 0.35, 10.0)
+    assert cell.arm.grasp(10.0) > 0.003
+    cell.arm.move_to(HERE.at_height(0.2), 0.5)
+    assert control.truth()["bag_lowest_z"] > 0.03
+    control.fault("slip")
+    wait_until(lambda: control.truth()["bag_lowest_z"] < 0.01)
+    wait_until(lambda: cell.arm.gripper_width() < cell.settings.handling.empty_width_m)
+
+
+def test_a_bumped_camera_sees_everything_elsewhere(cell: Workcell, control: LabControl) -> None:
+    before = find_bag(cell.camera.look().color, cell.settings.object_color)
+    control.fault("bump-camera")
+    after = find_bag(cell.camera.look().color, cell.settings.object_color)
+    assert before is not None
+    assert after is not None
+    assert np.linalg.norm(after.center - before.center) == pytest.approx(15, abs=4)
+
+
+def test_a_camera_that_freezes_or_goes_away_is_noticed_and_comes_back(
+    file: Path, cell: Workcell, control: LabControl
+) -> None:
+    settings = read_workcell_file(file).camera
+    assert settings is not None
+    camera = open_camera(settings.model_copy(update={"timeout_s": 6.0}))
+    control.fault("freeze-camera", seconds=30)
+    with pytest.raises(CameraError, match="has frozen"):
+        look_twice(camera)
+    control.fault("heal")
+    camera.look()
+    control.fault("unplug-camera", seconds=60)
+    with pytest.raises(CameraError, match="no picture"):
+        look_twice(camera)
+    control.fault("heal")
+    camera.look()
+    camera.close()
+
+
+def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
+    with pytest.raises(BaggieError, match=r"expected a fault among refuse, .* got 'earthquake'"):
+        control.fault("earthquake")
+    with pytest.raises(BaggieError, match="start one with: baggie lab"):
+        LabControl("http://127.0.0.1:9").truth()
+
+
+@pytest.mark.slow
+def test_it_calibrates_and_collects_unattended(
+    file: Path, cell: Workcell, control: LabControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.close()
+    map_file, with_map, out = tmp_path / "map.yaml", tmp_path / "cell.yaml", tmp_path / "bags"
+    monkeypatch.setattr(sys, "stdin", io.StringIO(8 * "\n"))  # a person who presses Enter
+    control.show_paddle(True)
+    calibrate_image_to_robot(
+        ImageToRobotOptions(
+            workcell=str(file),
+            marker="color:217,13,191",
+            marker_in_hand=(0.09, 0.0, 0.0),
+            columns=3,
+            out=map_file,
+        )
+    )
+    control.show_paddle(False)
+    with_map.write_text(f"{file.read_text()}calibrations: {{image_to_robot: {map_file}}}\n")
+    summary = collect(CollectOptions(out=out, attempts=2, workers=1, workcell=with_map))
+    assert summary["succeeded"] == 2
+    last = baggie.open_dataset(out)[-1]
+    assert last.truth is None
+    assert control.bag_pose().distance(last.outcome.executed.place) < 0.03
+
+
+def test_a_trail_knows_velocity_and_acceleration_of_what_was_commanded() -> None:
+    moments = 0.001 * np.arange(6)
+    trail = Trail(turned(0.0), pose_difference)
+    for moment in moments[1:]:
+        trail.take(turned(moment), 0.001)
+    np.testing.assert_allclose(trail.velocity, [0.3, 0, 4.0 * moments[-2:].sum() / 2, 0, 0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(trail.acceleration, [0, 0, 4.0, 0, 0, 0], atol=1e-5)
+
+
+def turned(moment: float) -> np.ndarray:
+    """A pose at 0.3 m/s along x, speeding up along z with 4 m/s², turning about z with 0.5 rad/s."""
+    c, s = np.cos(0.5 * moment), np.sin(0.5 * moment)
+    return np.array([[c, -s, 0, 0.3 * moment], [s, c, 0, 0], [0, 0, 1, 2.0 * moment**2], [0, 0, 0, 1]])
+
+
+def replaced(pose: ToolPose, y: float) -> ToolPose:
+    return ToolPose(pose.x, y, pose.z, pose.yaw)
+
+
+def look_twice(camera: Camera) -> None:
+    """One frame may have been on its way."""
+    camera.look()
+    camera.look()
+
+
+def wait_until(met: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not met():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
