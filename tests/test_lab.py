@@ -138,7 +138,7 @@ def test_a_motion_with_lost_packets_is_finished(cell: Workcell, control: LabCont
     recovered = control.truth()["errors_recovered"]
     control.fault("drop-packets", seconds=0.05, after=0.1)
     cell.arm.move_to(replaced(HIGH, y=-0.15), 0.2)
-    assert control.truth()["errors_recovered"] == recovered + 1
+    assert control.truth()["errors_recovered"] > recovered
 
 
 def test_a_robot_that_does_not_recover_says_so(cell: Workcell, control: LabControl) -> None:
@@ -179,6 +179,7 @@ def test_a_bumped_camera_sees_everything_elsewhere(cell: Workcell, control: LabC
     assert np.linalg.norm(after.center - before.center) == pytest.approx(15, abs=4)
 
 
+@pytest.mark.slow
 def test_a_camera_that_freezes_or_goes_away_is_noticed_and_comes_back(
     file: Path, cell: Workcell, control: LabControl
 ) -> None:
