@@ -13,7 +13,7 @@ demo: $(STAMP) gl ## from nothing to a robot moving bags, and a report: minutes 
 	$(BIN)/python examples/demo.py
 
 test: $(STAMP) gl ## the fast tests, under 5 minutes on two cores
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile # what tests of one file share is made once
 
 test-slow: $(STAMP) gl ## the tests that take minutes
 	$(BIN)/python -m pytest -m slow
