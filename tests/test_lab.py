@@ -179,6 +179,7 @@ def test_a_bumped_camera_sees_everything_elsewhere(cell: Workcell, control: LabC
     assert np.linalg.norm(after.center - before.center) == pytest.approx(15, abs=4)
 
 
+@pytest.mark.slow
 def test_a_camera_that_freezes_or_goes_away_is_noticed_and_comes_back(
     file: Path, cell: Workcell, control: LabControl
 ) -> None:
