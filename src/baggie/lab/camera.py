@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 
@@ -13,7 +12,7 @@ from baggie.lab.lab import Lab
 PERIOD_S = 0.2
 LONGEST_PERIOD_S = 1.0
 SHARE = 1 / 3
-"""Of the time, which drawing may take on a slow computer: physics needs the processor, too."""
+"""Of the time, which drawing may take on a slow computer: physics needs a processor, too."""
 BUSY = 1.6
 """So many times longer are periods while the arm moves and nobody looks. Less than twice, or a client that knows this
 rhythm takes the first frames of a faster one for old ones."""
@@ -33,7 +32,6 @@ class LabCamera:
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
         self._last = b""
-        self._developing = threading.Lock()
         self.heal()
 
     def freeze(self, seconds: float) -> None:
@@ -65,8 +63,6 @@ class LabCamera:
 
     def _frame(self) -> bytes:
         if not self._last or time.monotonic() >= self._frozen_until:
-            with self._developing:
-                self._lab.call(self._lab.expose)
-                picture = self._lab.darkroom.develop()
+            picture = self._lab.darkroom.develop(self._lab.call(self._lab.moment))
             self._last = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _QUALITY)[1].tobytes()
         return self._last

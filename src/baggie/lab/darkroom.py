@@ -1,60 +1,98 @@
-"""Where the lab's pictures are drawn: in a thread of its own, of a copy of the scene, while the robot goes on."""
+"""Where the lab's pictures are drawn: in a process of its own, because MuJoCo's renderer lets no other thread run."""
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+import signal
+import threading
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 
 import mujoco
 import numpy as np
 
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray
 from baggie.sim.arm_world import ArmWorld
+from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.renderer import CameraRenderer
+from baggie.sim.scene import camera_quaternion
 from baggie.sim.sensor import Exposure
+from baggie.sim.world import World
 from baggie.types import Image
 
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
-class Still:
-    """A world at one moment, for a renderer to look at."""
 
-    def __init__(self, world: ArmWorld) -> None:
-        self.model, self.printed = world.model, world.printed
-        self.data = mujoco.MjData(world.model)
-        self.take(world)
+@dataclass(frozen=True)
+class Moment:
+    """All that a picture of a lab depends on."""
 
-    def take(self, world: ArmWorld) -> None:
-        """Another moment; not while time passes."""
-        mujoco.mj_copyData(self.data, self.model, world.data)
-        self.cell = world.cell
+    state: FloatArray
+    """Of the physics, as MuJoCo orders it."""
+    colors: FloatArray
+    """Of all geoms: what is not shown is transparent."""
+    cell: Cell
+    exposure: Exposure
 
-    @property
-    def time(self) -> float:
-        """Seconds of simulated time."""
-        return float(self.data.time)
+    @classmethod
+    def of(cls, world: ArmWorld, exposure: Exposure) -> Moment:
+        """What there is to see now."""
+        state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
+        mujoco.mj_getState(world.model, world.data, state, _STATE)
+        return cls(state, world.model.geom_rgba.copy(), world.cell, exposure)
+
+    def lay_out(self, world: ArmWorld) -> None:
+        """Make a world of the same cell look as it did then."""
+        world.cell, camera = self.cell, world.model.camera("top")
+        camera.pos[:], camera.quat[:] = (
+            self.cell.camera_position,
+            camera_quaternion(self.cell.camera_rotation),
+        )
+        world.model.geom_rgba[:] = self.colors
+        mujoco.mj_setState(world.model, world.data, self.state, _STATE)
+        mujoco.mj_forward(world.model, world.data)
 
 
 class Darkroom:
-    """The camera's renderer, and the one thread that may use it."""
+    """The process that draws, one picture at a time."""
 
-    def __init__(self, world: ArmWorld) -> None:
+    def __init__(self, cell: int) -> None:
         """Raises `BaggieError` where nothing can render off screen."""
-        self._still = Still(world)
-        self._thread = ThreadPoolExecutor(1, "darkroom")
-        self._rng = np.random.default_rng()
-        self._renderer = self._thread.submit(CameraRenderer, self._still).result()
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs, cell), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._one_at_a_time = threading.Lock()
+        trouble = self._pipe.recv()
+        if trouble is not None:
+            raise BaggieError(trouble)
 
-    def take(self, world: ArmWorld, exposure: Exposure) -> None:
-        """Keep what there is to see now, for `develop`. Not while time passes, nor while a picture is developed."""
-        self._still.take(world)
-        self._exposure = exposure
-
-    def develop(self) -> Image:
-        """The picture of what was taken last."""
-        return self._thread.submit(self._draw).result()
+    def develop(self, moment: Moment) -> Image:
+        """The picture of a moment, `(H, W, 3)`. Raises `EOFError` or `OSError` once it is closed."""
+        with self._one_at_a_time:
+            self._pipe.send(moment)
+            picture: Image = self._pipe.recv()
+            return picture
 
     def close(self) -> None:
-        """Free the OpenGL context."""
-        self._thread.submit(self._renderer.close).result()
-        self._thread.shutdown()
+        """End the process."""
+        self._process.terminate()
+        self._process.join()
 
-    def _draw(self) -> Image:
-        return self._renderer.look(self._exposure, self._rng, depth=False).color
+
+def _work(pipe: Connection, cell: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the lab, which ends this process then
+    world = World(draw_cell(cell))
+    try:
+        renderer = CameraRenderer(world)
+    except BaggieError as error:
+        pipe.send(str(error))
+        return
+    pipe.send(None)
+    rng = np.random.default_rng()
+    while True:
+        moment: Moment = pipe.recv()
+        moment.lay_out(world)
+        pipe.send(renderer.look(moment.exposure, rng, depth=False).color)

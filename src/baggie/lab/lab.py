@@ -12,7 +12,7 @@ from typing import TypeVar
 from baggie import seeds
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.lab.darkroom import Darkroom
+from baggie.lab.darkroom import Darkroom, Moment
 from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.sim.bag import BagParameters
@@ -44,7 +44,7 @@ class Lab:
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
-        self.darkroom = Darkroom(self.world)
+        self.darkroom = Darkroom(cell)
         self._pace = pace
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -150,6 +150,6 @@ class Lab:
         """Put the bag, undented, somewhere else, as a person would."""
         self.world.put_bag(pose)
 
-    def expose(self) -> None:
-        """Take a picture of the scene as it is now, for the darkroom to develop."""
-        self.darkroom.take(self.world, self._exposure)
+    def moment(self) -> Moment:
+        """The scene as it is now, for the darkroom to draw."""
+        return Moment.of(self.world, self._exposure)

@@ -116,8 +116,8 @@ class _Handler(BaseHTTPRequestHandler):
             for jpeg in self.server.camera.frames():
                 head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 self.wfile.write(head.encode() + jpeg + b"\r\n")
-        except OSError:
-            pass  # the client hung up
+        except (OSError, EOFError):
+            pass  # the client hung up, or the lab is closed
 
 
 def truth(lab: Lab) -> dict[str, Any]:
