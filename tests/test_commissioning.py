@@ -167,6 +167,7 @@ def test_a_marker_that_is_not_where_it_is_said_to_be_is_noticed(
     assert not (tmp_path / "map.yaml").exists()
 
 
+@pytest.mark.slow
 def test_a_coloured_blob_serves_as_a_marker(tmp_path: Path) -> None:
     marker = ["--marker", "color:217,13,191", "--marker-in-hand", "0.09", "0", "0", "--columns", "3"]
     out = tmp_path / "map.yaml"

@@ -201,6 +201,7 @@ def test_every_episode_that_fails_has_a_cause(tmp_path, in_process, bench, expec
     assert metrics["partial_credit"]["mean"] == metrics["ravens_success"]["rate"] == done
 
 
+@pytest.mark.slow
 def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path, monkeypatch):
     program = (
         "import sys; from pathlib import Path; import test_evaluation_blocks as t; "
