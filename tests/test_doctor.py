@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,51 +6,20 @@ import pytest
 from baggie.commissioning import health
 from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.errors import ArmError, BaggieError, CameraError
-from baggie.geometry import ToolPose
 from baggie.types import Observation
-from baggie.workcell.arm import ArmInfo
 from baggie.workcell.workcell import Workcell, WorkcellSettings
+from recording_arm import RecordingArm, TimelessCell
 
 
-class ObedientArm:
-    """Does what it is told; the table is at `table_z`."""
-
-    info = ArmInfo("obedient", max_width_m=0.08, max_speed_m_s=2.0, max_force_n=70.0)
+class ObedientArm(RecordingArm):
+    """Does what it is told, with nothing between its fingers; the table is at `table_z`."""
 
     def __init__(self, table_z: float = 0.0, stuck_width: float | None = None) -> None:
-        self.at, self.width = ToolPose(0.4, 0.0, 0.4), 0.08
-        self.table_z, self.stuck_width = table_z, stuck_width
-        self.speeds: list[float] = []
-
-    def pose(self) -> ToolPose:
-        return self.at
-
-    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
-        self.speeds.append(speed_m_s)
-        self.at = target
-        return target
-
-    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
-        self.speeds.append(speed_m_s)
-        self.at = replace(self.at, z=max(z_min, self.table_z))
-        return self.at
+        super().__init__(width=0.0, floor_z=table_z)
+        self.stuck_width = stuck_width
 
     def move_gripper(self, width_m: float) -> float:
-        self.width = width_m if self.stuck_width is None else self.stuck_width
-        return self.width
-
-    def grasp(self, force_n: float) -> float:
-        self.width = 0.0
-        return self.width
-
-    def gripper_width(self) -> float:
-        return self.width
-
-    def park(self) -> ToolPose:
-        return self.at
-
-    def stop(self) -> None:
-        pass
+        return super().move_gripper(width_m if self.stuck_width is None else self.stuck_width)
 
 
 class Eye:
@@ -67,13 +35,8 @@ class Eye:
         return Observation(np.clip(rng.normal(self.level, 3, (48, 64, 3)), 0, 255).astype(np.uint8))
 
 
-class Cell(Workcell):
-    def clock(self) -> float:
-        return 0.0
-
-
-def cell(arm: ObedientArm | None = None, eye: Eye | None = None) -> Cell:
-    return Cell(arm or ObedientArm(), eye or Eye(), WorkcellSettings())
+def cell(arm: ObedientArm | None = None, eye: Eye | None = None) -> Workcell:
+    return TimelessCell(arm or ObedientArm(), eye or Eye(), WorkcellSettings())
 
 
 def test_a_healthy_arm_passes_and_moves_slowly() -> None:
@@ -95,7 +58,7 @@ def test_a_healthy_arm_passes_and_moves_slowly() -> None:
         ("touch", cell(ObedientArm(table_z=0.06)), ArmError, "touched at z 60 mm, 46 mm too early"),
     ],
 )
-def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Cell, error: type, says: str) -> None:
+def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Workcell, error: type, says: str) -> None:
     with pytest.raises(error, match=says):
         {**health.STILL, **health.MOVING}[check](sick)
 

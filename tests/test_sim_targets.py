@@ -27,7 +27,8 @@ from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_tar
 from baggie.workcell.arm import LedArm
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.simulated import SimulatedWorkcell
-from test_workcell import SETTINGS, RecordingArm
+from recording_arm import RecordingArm
+from test_workcell import SETTINGS
 
 CHESSBOARD = Chessboard(7, 4, 0.035)
 CHARUCO = Charuco(7, 5, 0.03, 0.021, "DICT_4X4_50")

@@ -7,7 +7,7 @@ from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.watchdog import Watchdog
 from baggie.workcell.workcell import WorkcellSettings
-from test_workcell import RecordingArm
+from recording_arm import RecordingArm
 
 
 class Camera:

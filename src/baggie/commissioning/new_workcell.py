@@ -17,7 +17,7 @@ from baggie.workcell.workcell_file import Bag, Bounds, FrankaEntry, read_workcel
 
 Answer = TypeVar("Answer")
 _NEXT = """\
-# A workcell. What stands here and what else may: docs/franka.md, docs/cameras.md.
+# A workcell. What stands here and what else may: docs/workcell.md.
 # Check it, first without moving anything: baggie doctor {name}
 """
 

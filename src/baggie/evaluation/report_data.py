@@ -100,17 +100,15 @@ def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | N
 
 
 def _training(folder: Path) -> Training | None:
-    if not (folder / "metrics.json").exists():
-        return None  # unfinished, or somebody else's config.yaml
+    if (metrics := _finished(folder)) is None:  # or somebody else's config.yaml
+        return None
     config = yaml.safe_load((folder / "config.yaml").read_text())
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
     scalars = {}
     for tag in events.Tags()["scalars"]:
         points = events.Scalars(tag)
         scalars[tag] = (np.array([p.step for p in points], float), np.array([p.value for p in points], float))
-    return Training(
-        folder, str(config["policy"]), folder.name, config, _json(folder / "metrics.json"), scalars
-    )
+    return Training(folder, str(config["policy"]), folder.name, metrics, config, scalars)
 
 
 def _validation(folder: Path) -> Validation:

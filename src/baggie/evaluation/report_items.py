@@ -20,28 +20,29 @@ _GOALS = {"turned": "turned goals", "card": "card"}
 
 
 @dataclass(frozen=True)
-class Training:
-    """A folder that train wrote."""
+class Reported:
+    """A folder of results."""
 
     folder: Path
     policy: str
     """Its name; with the run's where several runs of one policy are reported."""
     run: str
-    config: dict[str, Any]
     metrics: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Training(Reported):
+    """A folder that train wrote."""
+
+    config: dict[str, Any]
     scalars: dict[str, Series]
     """By TensorBoard tag."""
 
 
 @dataclass(frozen=True)
-class Validation:
+class Validation(Reported):
     """A folder that validate wrote."""
 
-    folder: Path
-    policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
-    run: str
-    metrics: dict[str, Any]
     predictions: list[dict[str, Any]]
     worst: list[dict[str, Any]]
 
@@ -65,16 +66,11 @@ class Validation:
 
 
 @dataclass(frozen=True)
-class Tried:
+class Tried(Reported):
     """A folder that evaluate wrote, of any kind of task."""
 
     speed: ClassVar[float]
     """Of its videos, in times the real one."""
-    folder: Path
-    policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
-    run: str
-    metrics: dict[str, Any]
 
     def picture(self, number: int, kind: str) -> Path:
         """`before`, `after`, `heat` or `step-SS`; may be missing."""
