@@ -14,16 +14,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
 import tyro
 
 from commands import failures, rate, read, run, spread
+
+if TYPE_CHECKING:
+    from baggie.policies import Policy
+    from baggie.types import Attempt
 
 RESULTS = Path("docs/results")
 CARD_SEEN = 5
@@ -271,33 +275,39 @@ def color_mask(options: Options) -> None:
             }
         )
     notes = (
-        "Angles of the bag modulo a quarter turn, against the truth, in the pictures before all attempts of the "
-        "recording after the first 250 successful ones, which nobody learned from. The rectangle of least area around "
-        "a dented bag may as well stand on its tip: the collector grips square when it reads 45 degrees, once."
+        "Angles of the bag modulo a quarter turn, against the truth, in the pictures before the attempts of all "
+        "recordings beside this one; `keypoint` only in those after the first 250 successful attempts of its own cell, "
+        "which it did not learn from. The rectangle of least area around a dented bag may as well stand on its tip: "
+        "the collector grips square when it reads 45 degrees, once."
     )
     write("color-mask", "The colour mask and its 45 degrees", rows, [options.seed], notes)
 
 
 def angle_readings(options: Options) -> dict[str, list[tuple[float, float]]]:
-    """(read, true) yaws by policy."""
+    """(read, true) yaws by policy, of every cell with a recording."""
     import baggie  # noqa: PLC0415
-    from baggie.data.annotation import goal_of  # noqa: PLC0415
     from baggie.data.layout import CALIBRATION_FOLDER  # noqa: PLC0415
     from baggie.policies import ColorMaskPolicy  # noqa: PLC0415
 
-    policies = {
-        "color-mask": ColorMaskPolicy.load(options.recording / CALIBRATION_FOLDER),
-        "keypoint": baggie.load_policy(options.policies / "keypoint"),
-    }
-    attempts = baggie.open_dataset(options.recording).successful()[250:]
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in policies}
-    for index in range(len(attempts)):
-        attempt = attempts[index]
-        assert attempt.truth is not None
-        for name, policy in policies.items():
-            yaw = policy.plan(attempt.before, goal_of(attempt)).action.pick.yaw
-            found[name].append((yaw, attempt.truth.before.yaw))
+    found: dict[str, list[tuple[float, float]]] = {"color-mask": [], "keypoint": []}
+    for recording in sorted(options.recording.parent.glob("cell-*")):
+        attempts = baggie.open_dataset(recording).successful()
+        mask = ColorMaskPolicy.load(recording / CALIBRATION_FOLDER)
+        found["color-mask"] += yaws(mask, attempts)
+        keypoint = baggie.load_policy(options.policies.parent / recording.name / "keypoint")
+        found["keypoint"] += yaws(keypoint, attempts[250:])
     return found
+
+
+def yaws(policy: Policy, attempts: Sequence[Attempt]) -> list[tuple[float, float]]:
+    """(read, true) of the bag before each attempt."""
+    from baggie.data.annotation import goal_of  # noqa: PLC0415
+
+    return [
+        (policy.plan(attempt.before, goal_of(attempt)).action.pick.yaw, attempt.truth.before.yaw)
+        for attempt in attempts
+        if attempt.truth is not None
+    ]
 
 
 # --- all of it on one page

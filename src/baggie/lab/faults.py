@@ -46,7 +46,7 @@ FAULTS = {
         "the robot does not recover from errors any more", lambda lab, _camera, _s: lab.fci.get_stuck()
     ),
     "drop-packets": Fault(
-        "the robot hears nothing of the client for these seconds of its own time",
+        "the motion under way, or the next, goes unheard for these seconds of the robot's time",
         lambda lab, _camera, seconds: lab.fci.lose_packets(round(seconds / TICK_S)),
     ),
     "cut-link": Fault(

@@ -45,6 +45,7 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         self._wanted: list[str] = []
         self._refusals = 0
         self._deaf_ticks = self._lost = 0
+        self._deaf = False
         self._back_at = 0.0
         self._stuck = False
         self._aborted = 0
@@ -64,8 +65,8 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         self._stuck = True
 
     def lose_packets(self, ticks: int) -> None:
-        """Hear nothing from the client for so many milliseconds of the robot's time."""
-        self._deaf_ticks = ticks
+        """Hear nothing from the client for so many milliseconds of the robot's time, from when it moves."""
+        self._deaf_ticks, self._deaf = ticks, False
 
     def cut(self, seconds: float) -> None:
         """As if somebody pulled the cable, and put it back after `seconds` of the wall clock."""
@@ -101,12 +102,12 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         super().start_motion(*arguments)
 
     def _process_udp_commands(self) -> None:
-        if self.moving and self.udp_connected and not self._deaf_ticks:
+        if self.moving and self.udp_connected and not self._deaf:
             select.select([self._FrankaServer__udp_socket], [], [], ANSWER_S)
         super()._process_udp_commands()
 
     def _handle_udp_command(self, command_data: bytes) -> None:
-        if not self._deaf_ticks:
+        if not self._deaf:
             super()._handle_udp_command(command_data)
 
     def _post_process_commands(self) -> None:
@@ -126,8 +127,9 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         super()._post_process_commands()
 
     def _lose(self) -> None:
-        self._lost = self._lost + 1 if self._deaf_ticks and self.moving else 0
-        self._deaf_ticks = max(self._deaf_ticks - 1, 0)
+        self._deaf = self._deaf_ticks > 0 and (self._deaf or self.moving)
+        self._lost = self._lost + 1 if self._deaf and self.moving else 0
+        self._deaf_ticks -= self._deaf
         if self._lost == LOST_AT_MOST:
             self.abort(LATE)
 
