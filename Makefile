@@ -40,6 +40,7 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: man
 	for experiment in curves virtual-goals printed-card color-mask report; do \
 	    $(BIN)/python benchmarks/published.py $$experiment || exit; done
 	for protocol in few published; do $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
+	$(BIN)/python benchmarks/pyramid_media.py
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
 	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint
