@@ -10,6 +10,7 @@ from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import CollectorCell
+from baggie.collect.detect import at_outline
 from baggie.collect.places import MARGIN_M
 from baggie.commissioning.points import color_finder, grid, visit
 from baggie.geometry import transform_points
@@ -41,10 +42,9 @@ def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
     the marker is seen too seldom, or not where the arm says it is.
     """
     settings, camera = cell.settings, cell.camera
-    height_m = settings.object_size_m[2] / 2
     known = cell.calibrations.image_to_robot
     if known is not None:
-        return known.at_height(height_m) if known.height_aware else known
+        return at_outline(known, settings)
     find = color_finder(settings.marker.color)
     in_hand = np.array([settings.marker.offset_m, 0.0, 0.0])
     cell.reset((seeds.CALIBRATION, seed))
@@ -65,5 +65,5 @@ def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
         np.array(robot),
         CameraIdentity(camera.name, *camera.size),
         intrinsics=camera.intrinsics,
-        height_m=height_m,
+        height_m=settings.object_size_m[2] / 2,
     )

@@ -22,21 +22,19 @@ import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
+from baggie.collect.detect import LONG, detect
 from baggie.collect.places import (
     false_45,
     grip_yaw,
     long_place_yaw,
-    long_yaw,
     nearest_grip,
     random_place,
 )
 from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose
 from baggie.types import Failure, Observation, Outcome, PickPlace
-from baggie.vision.color_mask import Detection, find_bag
+from baggie.vision.color_mask import Detection
 
-LONG = 2
-"""The symmetry of an object that is longer than wide."""
 MAX_TRIES = 3
 MAX_LOOKS = 3
 MAX_ASKS = 2
@@ -91,14 +89,7 @@ class Turn:
 
     def detect(self, observation: Observation) -> tuple[Detection, PlanarPose] | tuple[None, None]:
         """The object in a picture, in pixels and in the robot's base frame."""
-        found = find_bag(observation.color, self.cell.settings.object_color)
-        if found is None:
-            return None, None
-        x, y = self.image_to_robot.to_robot(found.center)[0]
-        yaw = self.image_to_robot.yaw_to_robot(found.center, found.yaw)
-        if self.cell.settings.object_symmetry == LONG:
-            yaw = long_yaw(self.image_to_robot, found.corners, yaw)
-        return found, PlanarPose(float(x), float(y), yaw)
+        return detect(observation, self.image_to_robot, self.cell.settings) or (None, None)
 
 
 def look(turn: Turn) -> State:

@@ -21,8 +21,12 @@ from baggie.policies.color_mask import CONFIG_FILE
 from baggie.seeds import EVALUATION
 
 
-def open_simulated_bench(options: EvaluateOptions) -> Bench:
-    """The simulated cell and the policy named; imported late, because MuJoCo takes its time."""
+def open_any_bench(options: EvaluateOptions) -> Bench:
+    """The cell and the policy named; imported late, because MuJoCo takes its time."""
+    if options.workcell is not None:
+        from baggie.evaluation.seen_bench import open_bench as open_seen_bench  # noqa: PLC0415
+
+        return open_seen_bench(options)
     from baggie.evaluation.simulated_bench import open_bench  # noqa: PLC0415
 
     return open_bench(options)
@@ -50,7 +54,8 @@ def _note(episode: Episode) -> str:
 
 def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
     raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
-    return {"scenery": options.scenery, "goal": options.goal, **raised, "retries": options.retries}
+    where = {"scenery": options.scenery} if options.workcell is None else {"workcell": str(options.workcell)}
+    return {**where, "goal": options.goal, **raised, "retries": options.retries}
 
 
 def _card_raised(options: EvaluateOptions, console: Console) -> bool:
@@ -68,7 +73,10 @@ def _card_raised(options: EvaluateOptions, console: Console) -> bool:
 def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
     """Calibrate the cell for `color-mask`, once for all processes, unless a calibration is given."""
     folder = options.out / CALIBRATION_FOLDER
-    if options.policy != ColorMaskPolicy.name or options.calibration or (folder / CONFIG_FILE).exists():
+    needed = (
+        options.policy == ColorMaskPolicy.name and options.workcell is None and options.calibration is None
+    )
+    if not needed or (folder / CONFIG_FILE).exists():
         return
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
@@ -82,7 +90,7 @@ def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
 BAGS = Kind(
     log="episodes.jsonl",
     episode=Episode,
-    open_bench=open_simulated_bench,
+    open_bench=open_any_bench,
     run=_run,
     measure=_measure,
     note=_note,

@@ -33,7 +33,7 @@ class Settings(Protocol):
 
 
 class EvaluationCell(Protocol):
-    """A workcell whose scenes can be set and whose truth is known: a simulated one."""
+    """A workcell whose scenes can be set and whose truth is known: a simulated one, or what a real one sees."""
 
     @property
     def settings(self) -> Settings:

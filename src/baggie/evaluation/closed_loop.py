@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -35,9 +34,10 @@ process, so it must be a function of a module.
 def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> dict[str, Any]:
     """Run the episodes that are missing in `options.out`, write `metrics.json` there, and return it.
 
-    The same options give the same episodes, whatever the number of workers and however often interrupted. The cell is
-    the simulated one unless `open_bench` is given. Raises `BaggieError` for an unknown task, scenery, goal or policy,
-    or when `out` holds another evaluation; `KeyboardInterrupt`, with how to go on as its message, when stopped.
+    The same options give the same episodes, whatever the number of workers and however often interrupted; in a real
+    workcell each starts where the one before it ended. The bench is of the options' cell unless `open_bench` is given.
+    Raises `BaggieError` for an unknown task, scenery, goal or policy, for what a real workcell cannot go on with, or
+    when `out` holds another evaluation; `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
@@ -56,7 +56,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
         with progress_bar(
             "evaluating", options.episodes, options.episodes - len(missing), console
         ) as advance:
-            for episode in stream_in_processes(worker, missing, options.workers or os.cpu_count() or 1):
+            for episode in stream_in_processes(worker, missing, options.processes):
                 append_line(log, episode.to_json())
                 episodes[episode.episode] = episode
                 advance(kind.note(episode))
@@ -91,7 +91,7 @@ def _open_worker(
 
 
 def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
-    if not in_its_cell(options.policy, options.cell):
+    if options.workcell is None and not in_its_cell(options.policy, options.cell):
         trained_in = config_of(options.policy)["cell"]
         console.print(f"warning: {options.policy} belongs to cell {trained_in}, not to cell {options.cell}")
 

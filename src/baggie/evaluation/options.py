@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 from baggie.errors import BaggieError
-from baggie.policies import ColorMaskPolicy
+from baggie.policies import ColorMaskPolicy, OraclePolicy
 from baggie.sim.tasks import TASKS as BLOCK_TASKS
 from baggie.sim.variety import Scenery
 
 TASKS = ("bag-place", *BLOCK_TASKS)
 GoalKind = Literal["virtual", "turned", "card"]
 """How a goal is given: marked square to the workspace, marked at any angle, or by a card that really lies there."""
-_OF_BAGS = ("scenery", "goal", "radius_cm", "retries", "calibration")
+_OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
 """What means nothing with blocks: they have a cell and goals of their own, and a task says what counts."""
 
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Run a policy in the closed loop on unseen scenes of the simulator, and measure how often it does its task.
+    """Run a policy in the closed loop on unseen scenes, and measure how often it does its task.
 
     Again with the same words it goes on where it stopped; with more episodes it adds to those it has.
 
@@ -41,6 +42,10 @@ class EvaluateOptions:
     """Names the scenes; no seed of `collect` ever gives one of them."""
     cell: int = 0
     """The workcell; a policy belongs to the one it was trained in."""
+    workcell: Path | None = None
+    """bag-place: a workcell file. Try it there, on a real arm, one scene after the other as they come; its map from the
+    picture to the robot says where bags end.
+    """
     scenery: Scenery = "plain"
     """bag-place: the cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none
     ever shows; or a second bag.
@@ -80,11 +85,32 @@ class EvaluateOptions:
             raise BaggieError(f"expected --radius-cm above 0, got {self.radius_cm}")
         if self.of_blocks:
             self._check_blocks()
+        elif self.workcell is not None:
+            self._check_real()
 
     @property
     def of_blocks(self) -> bool:
         """Whether the task is one with blocks."""
         return self.task in BLOCK_TASKS
+
+    @property
+    def processes(self) -> int:
+        """How many work side by side: one, where there is one arm."""
+        return self.workers or (1 if self.workcell is not None else os.cpu_count() or 1)
+
+    def _check_real(self) -> None:
+        given = f"with --workcell {self.workcell}, "
+        if self.scenery != "plain" or self.goal == "card":
+            raise BaggieError(
+                f"expected --scenery plain and --goal virtual or turned {given}got {self.scenery} and {self.goal}; "
+                "nobody lays another table or a card there between scenes"
+            )
+        if self.policy == OraclePolicy.name:
+            raise BaggieError(
+                f"expected a policy that looks {given}got {self.policy}: nobody knows the truth there"
+            )
+        if self.processes != 1:
+            raise BaggieError(f"expected --workers 1 {given}which has one arm, got {self.workers}")
 
     def _check_blocks(self) -> None:
         for name in _OF_BAGS:

@@ -96,9 +96,7 @@ class SimulatedWorkcell(MujocoWorkcell):
     def goal_corners(self, pose: PlanarPose) -> FloatArray:
         """`(4, 2)` pixels: where the outline of a bag that rests at `pose` truly appears."""
         length, width, height = self.settings.object_size_m
-        square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
-        c, s = np.cos(pose.yaw), np.sin(pose.yaw)
-        corners = square @ np.array([[c, s], [-s, c]]) + pose.xy
+        corners = pose.outline(length, width)
         return self.world.cell.project(np.c_[corners, np.full(4, height / 2)])
 
     def show_paddle(self, shown: bool) -> None:

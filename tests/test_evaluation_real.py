@@ -1,0 +1,110 @@
+"""The closed loop where nobody knows the truth: the camera says where the bag ends."""
+
+import functools
+import re
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from baggie.collect.calibrate import calibrate
+from baggie.errors import BaggieError
+from baggie.evaluation.bench import Bench
+from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
+from baggie.evaluation.episode import Episode
+from baggie.evaluation.log import read_log
+from baggie.evaluation.seen_cell import SeenCell
+from baggie.geometry import PlanarPose
+from baggie.policies import ColorMaskPolicy
+from baggie.workcell.calibrations import Calibrations
+from fake_workcell import FakeCell
+
+FILE = Path("cell.yaml")
+
+
+class RealFake(FakeCell):
+    """A fake cell that is told nothing by anybody, and carries out what is planned."""
+
+    def carry_out(self, plan):
+        return self.execute(plan.action)
+
+
+def calibrated(cell):
+    cell.calibrations = Calibrations(image_to_robot=calibrate(cell, 0))
+    return cell
+
+
+def bench(cell, options):
+    seen = SeenCell(cell, FILE)
+    return Bench(seen, ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color), seen.image_to_robot)
+
+
+def options(tmp_path, **asked):
+    return EvaluateOptions(policy="color-mask", out=tmp_path, workcell=FILE, episodes=4, **asked)
+
+
+@pytest.fixture
+def cell():
+    return calibrated(RealFake())
+
+
+def test_what_is_seen_is_where_it_is(cell):
+    seen = SeenCell(cell, FILE)
+    for seed in range(5):
+        cell.reset((seed,))
+        assert seen.truth().distance(cell.bag) < 0.004
+
+
+def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
+    metrics = evaluate(options(tmp_path), functools.partial(bench, cell))
+    assert metrics["success"]["rate"] == 1.0
+    assert metrics["workcell"] == str(FILE)
+    episodes = list(read_log(tmp_path / "episodes.jsonl", Episode))
+    for before, after in pairwise(episodes):
+        start, end = PlanarPose(*after.start), PlanarPose(*before.final)
+        assert start.distance(end) < 0.004
+
+
+def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
+    cell.script = [None, "lost-bag"]
+    with pytest.raises(BaggieError, match="bring it back into view") as raised:
+        evaluate(options(tmp_path), functools.partial(bench, cell))
+    assert "\n" not in str(raised.value)
+    assert len(read_log(tmp_path / "episodes.jsonl", Episode)) == 1
+    cell.script = []  # a person has put it back
+    assert evaluate(options(tmp_path), functools.partial(bench, cell))["success"]["n"] == 4
+
+
+def test_a_bag_out_of_reach_is_not_counted_against_the_policy(cell, tmp_path):
+    cell.bag = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.02, y=0.0)
+    with pytest.raises(BaggieError, match="put it back"):
+        evaluate(options(tmp_path), functools.partial(bench, cell))
+    assert not (tmp_path / "episodes.jsonl").exists()
+
+
+def test_without_a_map_nobody_can_measure():
+    with pytest.raises(BaggieError, match=re.escape("image_to_robot below `calibrations` in cell.yaml")):
+        SeenCell(RealFake(), FILE)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"goal": "card"}, "virtual or turned"),
+        ({"scenery": "light"}, "virtual or turned"),
+        ({"workers": 2}, "one arm"),
+        ({"policy": "oracle"}, "nobody knows the truth"),
+        ({"task": "block-pyramid"}, "no --workcell"),
+    ],
+)
+def test_what_a_real_cell_cannot_do_is_refused(tmp_path, asked, said):
+    with pytest.raises(BaggieError, match=said):
+        replace(options(tmp_path), **asked).check()
+
+
+def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: sim\n")
+    with pytest.raises(BaggieError, match="--cell N"):
+        evaluate(replace(options(tmp_path / "out"), workcell=file))
