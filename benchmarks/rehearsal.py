@@ -1,0 +1,165 @@
+"""The whole way of a real cell, over the robot's own network protocol, in the virtual lab.
+
+    python benchmarks/rehearsal.py --policy runs/policies/cell-15/keypoint --cell 15
+
+Doctor, calibration, an unattended collection, and a policy that was trained on simulated data and never saw this
+connection. Goes on where it stopped and writes RESULTS.{json,md}.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from baggie.evaluation.results import provenance, write_json, write_results
+from baggie.geometry import PlanarPose
+from baggie.lab.control import LabControl
+from baggie.workcell.workcell_file import read_workcell_file
+from commands import rate
+
+UNCALIBRATED, MAP = "lab.yaml", "image-to-robot.yaml"
+"""The workcell file before the first step, and what that makes."""
+_AWAY = PlanarPose(0.5, 0.8, 0.0)
+"""Off the table: nothing may lie on it while the hand carries a marker over it."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Rehearse."""
+
+    policy: Path = Path("runs/policies/cell-15/keypoint")
+    """Trained in the simulated cell, on a recording of its own."""
+    cell: int = 15
+    attempts: int = 20
+    """To collect."""
+    episodes: int = 5
+    seed: int = 0
+    out: Path = Path("runs/rehearsal")
+    results: Path = Path("docs/results/rehearsal")
+    host: str = "127.0.3.1"
+
+
+def main(options: Options) -> None:
+    """Every step in the order of a first day; the table of what came of it. Fails where a step does."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    with lab(options) as (file, control):
+        rows = [
+            step(options, "baggie calibrate image-to-robot", lambda: calibrate(file, control)),
+            step(options, "baggie doctor --move yes", lambda: doctor(file, control)),
+            step(options, "baggie collect", lambda: collect(file, control, options)),
+            step(options, "baggie evaluate", lambda: evaluate(file, options)),
+        ]
+    notes = (
+        "Everything went over Franka's control protocol (TCP and UDP) and the camera's network stream to `baggie lab`, "
+        f"which simulates cell {options.cell} behind them; nobody helped. The policy learned from a recording of the "
+        "simulated cell. Errors are against where the lab's camera sees the bag, by the map calibrated in the "
+        "first step; times include the arm's own at ordinary speed."
+    )
+    write_results(options.results, "A rehearsal in the virtual lab", rows, provenance([options.seed]), notes)
+
+
+@contextmanager
+def lab(options: Options) -> Iterator[tuple[Path, LabControl]]:
+    """A lab in a process of its own: its workcell file, which names the calibration to come, and its control."""
+    file, printed = options.out / "cell.yaml", options.out / UNCALIBRATED
+    words = [
+        "lab",
+        "--cell",
+        str(options.cell),
+        "--host",
+        options.host,
+        "--camera-port",
+        "0",
+        "--out",
+        str(printed),
+    ]
+    process = subprocess.Popen(baggie(*words), stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        process.stdout.readline()  # it is up once it says so
+        camera = read_workcell_file(printed).camera
+        assert camera is not None
+        assert camera.source is not None
+        file.write_text(printed.read_text() + f"calibrations:\n  image_to_robot: {MAP}\n")
+        yield file, LabControl(camera.source)
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def step(options: Options, name: str, do: Callable[[], str]) -> dict[str, Any]:
+    """What came of one step and how long it took; as kept, where it was done before."""
+    kept = options.out / f"{name.split()[1]}.json"
+    if not kept.exists():
+        print(f"$ {name}", file=sys.stderr)
+        began = time.perf_counter()
+        came = do()
+        write_json(
+            kept, {"step": name, "came of it": came, "minutes": round((time.perf_counter() - began) / 60, 1)}
+        )
+    return dict(json.loads(kept.read_text()))
+
+
+def calibrate(file: Path, control: LabControl) -> str:
+    """The marker's plate into the hand, the table clear, and over the workspace."""
+    control.show_paddle(True)
+    control.lay_bag(_AWAY)
+    marker = "--marker color:217,13,191 --marker-in-hand 0.09 0 0"
+    plain, out = file.with_name(UNCALIBRATED), file.with_name(MAP)
+    found = answer(f"calibrate image-to-robot --workcell {plain} {marker} --out {out}")
+    control.show_paddle(False)
+    return f"{found['points']} points, {found['leave_one_out_mm']:.2f} mm left out"
+
+
+def doctor(file: Path, control: LabControl) -> str:
+    """Everything it checks, moving included."""
+    control.lay_bag(_AWAY)
+    findings = answer(f"doctor {file} --move yes")["findings"]
+    return f"{sum(finding['verdict'] == 'ok' for finding in findings)} of {len(findings)} checks ok"
+
+
+def collect(file: Path, control: LabControl, options: Options) -> str:
+    """Unattended."""
+    control.reset(options.seed)
+    out = file.with_name("recording")
+    found = answer(
+        f"collect --workcell {file} --workers 1 --attempts {options.attempts} --seed {options.seed} --out {out}"
+    )
+    rate_per_minute = f"{found['attempts_per_minute']:.1f} a minute"
+    return f"{found['succeeded']} of {found['attempts']} attempts succeeded, {rate_per_minute}"
+
+
+def evaluate(file: Path, options: Options) -> str:
+    """The policy moves bags to goals marked in the picture."""
+    words = f"--episodes {options.episodes} --seed {options.seed} --out {file.with_name('evaluation')}"
+    found = answer(f"evaluate --policy {options.policy} --workcell {file} {words}")
+    return f"{rate(found['success'])} within 2 cm, median {found['distance_cm']['median']:.2f} cm"
+
+
+def answer(command: str) -> Mapping[str, Any]:
+    """What a `baggie` command says as JSON, with Enter pressed when it asks for it; ends everything where it fails."""
+    done = subprocess.run(
+        baggie(*shlex.split(command), "--json"), input="\n", stdout=subprocess.PIPE, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(done.returncode)
+    return dict(json.loads(done.stdout))
+
+
+def baggie(*words: str) -> list[str]:
+    """A command line."""
+    return [sys.executable, "-m", "baggie", *words]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
