@@ -45,6 +45,7 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: man
 	$(BIN)/python benchmarks/second_look.py
 	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint
 	$(BIN)/python benchmarks/learned_map.py --policy runs/policies/cell-15/keypoint --data runs/recordings/cell-15
+	$(BIN)/python benchmarks/faults.py --moments 20
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
 

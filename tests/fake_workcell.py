@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.errors import LimitError, ReachError
+from baggie.errors import ArmError, LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose
 from baggie.types import Image, Intrinsics, Observation, Outcome, PickPlace
 from baggie.workcell.arm import ArmInfo
@@ -226,6 +228,21 @@ def open_slowly(cell: int) -> FakeCell:
         return execute(action)
 
     fake.execute = slow
+    return fake
+
+
+def open_faulty(cell: int) -> FakeCell:
+    """Loses its arm in the third execution, as often as the file that the environment names says."""
+    fake = open_fake(cell)
+    execute, left = fake.execute, Path(os.environ["FAULTS_LEFT"])
+
+    def lose(action):
+        if len(fake.executed) == 2 and (faults := int(left.read_text())):
+            left.write_text(str(faults - 1))
+            raise ArmError("the cable came off")
+        return execute(action)
+
+    fake.execute = lose
     return fake
 
 

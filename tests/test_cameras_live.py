@@ -150,8 +150,7 @@ def test_a_look_survives_a_loose_cable(camera: LiveCamera, device: Device) -> No
 
 def test_a_camera_that_repeats_itself_has_frozen(camera: LiveCamera, device: Device) -> None:
     camera.look()
-    device.noise = False
-    camera.look()
+    device.noise = False  # at a picture that nobody has looked at
     with pytest.raises(CameraError, match="has frozen"):
         camera.look()
     device.noise = True

@@ -23,7 +23,7 @@ from baggie.errors import BaggieError, DataError
 from baggie.geometry import Rectangle
 from baggie.processes import stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
-from fake_workcell import open_fake, open_unhelped
+from fake_workcell import open_fake, open_faulty, open_unhelped
 
 
 def assert_same(a: Path, b: Path) -> None:
@@ -228,6 +228,20 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
+def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, reference, monkeypatch, capsys):
+    monkeypatch.setenv("FAULTS_LEFT", str(tmp_path / "left"))
+    (tmp_path / "left").write_text("1")
+    collect(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
+    assert "the cable came off. Trying again in 1 s\n" in capsys.readouterr().err
+    assert (tmp_path / "left").read_text() == "0"
+    first, again = open_dataset(reference), open_dataset(tmp_path / "data")
+    assert again.attempt_ids.tolist() == [0, 1, 2, 3]
+    for one, other in zip(
+        first, again, strict=False
+    ):  # a repeatable cell: the same attempts, none of them halved
+        assert np.array_equal(one.after.color, other.after.color)
+
+
 def test_one_arm_is_not_shared_by_workers(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: {kind: franka, host: 192.0.2.1}\ncamera: 0\n")
@@ -244,6 +258,17 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
+
+
+def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(reference):
+    from baggie.policies import load_policy
+
+    cell = open_fake(miss_rate=0.0)
+    cell.repeatable = False
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    places = [next(iter(sit(tuple(range(first, 10))))).commanded.place for first in range(10)]
+    assert len({(place.x, place.y) for place in places}) == 10
 
 
 def test_where_nobody_knows_the_truth_none_is_recorded(reference, monkeypatch):

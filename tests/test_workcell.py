@@ -15,9 +15,11 @@ from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace, Plan
 from baggie.workcell.camera import Camera
+from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.real import RealWorkcell
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
@@ -186,6 +188,51 @@ def test_the_workcell_may_ask_for_more(tmp_path: Path) -> None:
     strict = replace(SETTINGS, sure_within_m=0.01)
     with pytest.raises(UnsureError, match="within 10 mm, got the pick within 20 mm"):
         TimelessCell(RecordingArm(), cast(Camera, None), strict).carry_out(plan)
+
+
+class TrippingArm(RecordingArm):
+    """A reflex ends its lift with something in the hand, once."""
+
+    tripped = False
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        if self.width == self._held and not self.tripped:
+            self.tripped = True
+            raise ReachError("a reflex")
+        return super().move_to(target, speed_m_s)
+
+
+def test_what_was_picked_up_when_a_reflex_came_is_put_down_where_it_is() -> None:
+    arm, at = TrippingArm(), PlanarPose(0.45, 0.1)
+    with pytest.raises(ReachError, match="a reflex"):
+        TimelessCell(arm, cast(Camera, None), SETTINGS).execute(PickPlace(at, PlanarPose(0.55, -0.1)))
+    assert arm.log[-3:-1] == ["lower", f"gripper {SETTINGS.handling.release_width_m:.3f}"]
+    assert arm.at.planar.distance(at) < 1e-6
+    assert arm.at.z >= SETTINGS.handling.approach_z_m
+
+
+@pytest.mark.parametrize(("y", "nearest"), [(0.1, 0.1), (0.45, SETTINGS.workspace.y_max)])
+def test_a_real_cell_begins_with_what_the_hand_still_holds_put_down_inside_its_workspace(
+    y: float, nearest: float
+) -> None:
+    arm = RecordingArm(width=0.02)
+    arm.at, arm.width = ToolPose(0.5, y, 0.25), 0.02
+    cell = RealWorkcell(arm, cast(OpenCamera, None), SETTINGS)
+    cell.reset((0,))
+    assert arm.width == SETTINGS.handling.release_width_m
+    assert arm.at.xyz == pytest.approx([0.5, nearest, SETTINGS.handling.place_z_m], abs=0.1)
+    assert arm.at.y == pytest.approx(nearest)
+    log = list(arm.log)
+    assert not cell.rescue()
+    assert arm.log == log, "an empty hand has nothing to put down"
+
+
+@pytest.mark.parametrize("width", [0.0, 0.034, 0.036, 0.08])
+def test_a_hand_that_is_shut_or_has_let_go_holds_nothing(width: float) -> None:
+    arm = RecordingArm()
+    arm.width = width
+    assert not TimelessCell(arm, cast(Camera, None), SETTINGS).put_down()
+    assert arm.log == []
 
 
 def test_a_plan_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:

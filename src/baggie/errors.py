@@ -17,6 +17,10 @@ class ArmError(BaggieError):
     """The arm does not do what it is told: not found, link lost, stopped, or in an error that needs a person."""
 
 
+class StuckError(ArmError):
+    """An arm that only a person can, or may, set going again: nothing tries it any further by itself."""
+
+
 class CameraError(BaggieError):
     """The camera gave no (fresh) picture."""
 

@@ -116,6 +116,10 @@ class Rectangle:
         inside_x = self.x_min + margin <= x <= self.x_max - margin
         return inside_x and self.y_min + margin <= y <= self.y_max - margin
 
+    def nearest(self, x: float, y: float) -> tuple[float, float]:
+        """The point of the rectangle that is nearest to (x, y)."""
+        return min(max(x, self.x_min), self.x_max), min(max(y, self.y_min), self.y_max)
+
     def sample(self, rng: np.random.Generator, margin: float = 0.0) -> FloatArray:
         """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres."""
         low = [self.x_min + margin, self.y_min + margin]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,14 @@ from rich.console import Console
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.cell import CollectorCell
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.options import INSTRUCTIONS, CollectedScenery, CollectOptions
+from baggie.collect.opening import SIMULATED, OpenCell, opener, robot_of
+from baggie.collect.options import INSTRUCTIONS, CollectOptions
+from baggie.collect.patience import PAUSES_S, Patience
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.layout import CALIBRATION_FOLDER
-from baggie.errors import BaggieError
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
 from baggie.types import Attempt
@@ -33,65 +33,39 @@ PICTURE_SIZE = (640, 360)
 """`(width, height)` of the recorded pictures."""
 COVERAGE_FILE = "coverage.png"
 
-OpenCell = Callable[[int], CollectorCell]
-"""Opens the cell with a number; picklable, because each worker process opens its own."""
+Sit = Callable[[tuple[int, ...]], Iterable[Attempt]]
+"""Makes the attempts with these ids, of one sitting."""
 
 
-def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> CollectorCell:
-    """The simulated workcell; imported late, because MuJoCo takes its time."""
-    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
-
-    return open_simulated(number, scenery=scenery)
-
-
-def open_file_cell(path: Path, number: int) -> CollectorCell:
-    """The workcell a file describes. Raises `BaggieError` for a file that cannot be used, or of another cell."""
-    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.real import RealWorkcell  # noqa: PLC0415
-    from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
-
-    cell = open_workcell(path)
-    if isinstance(cell, RealWorkcell):
-        return cell
-    if not isinstance(cell, SimulatedWorkcell):
-        cell.close()
-        raise BaggieError(
-            f"expected {path} to describe a workcell with an arm, to collect in; a recording has none"
-        )
-    if cell.world.cell.number != number:
-        cell.close()
-        raise BaggieError(
-            f"{path} describes cell {cell.world.cell.number}, not {number}; give --cell to match"
-        )
-    return cell
-
-
-def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) -> dict[str, Any]:
+def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[str, Any]:
     """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
 
-    Raises `BaggieError` when the cell cannot be calibrated, nobody could help a stalled collector, the disk
-    is full, or the folder holds another recording: what was recorded before stays, and the same command goes
-    on from there. Raises `KeyboardInterrupt`, with how to go on as its message, when stopped.
+    In the cell that the options say, unless `open_cell` opens another. Faults of an arm or a camera that are not
+    simulated are borne with patience (`patience.py`). Raises `BaggieError` when they do not end, the cell cannot be
+    calibrated, nobody could help a stalled collector, the disk is full, or the folder holds another recording: what
+    was recorded before stays, and the same command goes on from there. Raises `KeyboardInterrupt`, with how to go on
+    as its message, when stopped.
     """
     options.check()
     if options.demonstrated:
         return record_demonstrations(options)
-    if options.workcell is not None:
-        open_cell = functools.partial(open_file_cell, options.workcell)
-    elif open_cell is open_simulated_cell:
-        open_cell = functools.partial(open_simulated_cell, scenery=options.scenery)
     console = Console(stderr=True)
+    robot = robot_of(options)
+    simulated = open_cell is None and robot == SIMULATED
+    open_cell = open_cell or opener(options)
+    patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
     collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery}
     with DatasetWriter(
         options.out,
         task=INSTRUCTIONS[options.task],
-        robot_type=_robot(options),
+        robot_type=robot,
         picture_size=PICTURE_SIZE,
         collection=collection,
     ) as writer:
         try:
-            image_to_robot = _calibrated(options, open_cell, console)
-            rate = _record(options, open_cell, image_to_robot, writer, console)
+            (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
+            worker = _worker(options, open_cell, image_to_robot)
+            rate = _record(options, worker, writer, console, patience)
         except KeyboardInterrupt:
             recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
             raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
@@ -105,19 +79,9 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     }
 
 
-def _robot(options: CollectOptions) -> str:
-    """What the recording says moved. Raises `BaggieError` where there are more workers than arms."""
-    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry, read_workcell_file  # noqa: PLC0415
-
-    arm = read_workcell_file(options.workcell).arm if options.workcell is not None else None
-    if not isinstance(arm, REAL_ARMS):
-        return "simulated FR3"
-    if options.workers != 1:
-        raise BaggieError(
-            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
-        )
-    return MODELS[arm.model].title if isinstance(arm, FrankaEntry) else arm.kind
+def _say(console: Console, line: str) -> None:
+    """One line of the terminal or of a log file, as it is, above a progress bar."""
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
@@ -139,24 +103,24 @@ def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) 
 
 def _record(
     options: CollectOptions,
-    open_cell: OpenCell,
-    image_to_robot: ImageToRobot,
+    worker: Callable[[], Sit],
     writer: DatasetWriter,
     console: Console,
+    patience: Patience,
 ) -> float | None:
     """Run what is missing; attempts per minute, or None when nothing was."""
-    sittings = missing_sittings(options.attempts, writer.attempt_ids)
-    if not sittings:
+    if not missing_sittings(options.attempts, writer.attempt_ids):
         console.print(f"all {options.attempts} attempts are recorded already")
         return None
-    recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
-    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
-    worker = functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
     done, good, start = 0, 0, time.monotonic()
     recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
     workers = options.workers or os.cpu_count() or 1
+
+    def missing() -> Iterator[Attempt]:
+        return stream_in_processes(worker, missing_sittings(options.attempts, writer.attempt_ids), workers)
+
     with progress_bar("collecting", options.attempts, recorded, console) as advance:
-        for attempt in stream_in_processes(worker, sittings, workers):
+        for attempt in patience.bear(missing):
             writer.append(attempt)
             done, good = done + 1, good + attempt.outcome.success
             rate = 60 * done / (time.monotonic() - start)
@@ -173,9 +137,16 @@ def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, 
     return [tuple(ids) for ids in sittings.values()]
 
 
+def _worker(options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot) -> Callable[[], Sit]:
+    """What a worker process begins with."""
+    recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
+    reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
+    return functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
+
+
 def _open_worker(
     open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording, reference: Path | None
-) -> Callable[[tuple[int, ...]], Iterable[Attempt]]:
+) -> Sit:
     """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
     cv2.setNumThreads(1)
     cell = open_cell(recording.cell)

@@ -73,6 +73,5 @@ def long_place_yaw(pick_yaw: float, rng: np.random.Generator) -> float:
 
 def nearest_grip(workspace: Rectangle, x: float, y: float, reach: float) -> tuple[float, float] | None:
     """The point of the workspace nearest to (x, y); None where that is more than `reach` metres away."""
-    inside_x = min(max(x, workspace.x_min), workspace.x_max)
-    inside_y = min(max(y, workspace.y_min), workspace.y_max)
-    return (inside_x, inside_y) if math.hypot(inside_x - x, inside_y - y) <= reach else None
+    inside = workspace.nearest(x, y)
+    return inside if math.hypot(inside[0] - x, inside[1] - y) <= reach else None

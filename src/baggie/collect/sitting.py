@@ -53,7 +53,8 @@ def run_sitting(
     """
     ask = ask or (lambda _question: cell.rescue())
     cell.reset((seeds.COLLECTION, recording.seed, number))
-    rng = seeds.generator(seeds.PLACES, recording.seed, number)
+    begun_at = (first,) if first else ()  # or places would be the first ones over again
+    rng = seeds.generator(seeds.PLACES, recording.seed, number, *begun_at)
     doubted = helped = False
     failures = 0
     for index in range(first, ATTEMPTS_PER_SITTING):

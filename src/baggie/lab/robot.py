@@ -139,6 +139,11 @@ class LabRobot:
         return self.hand.width
 
     @property
+    def tool_xyz(self) -> tuple[float, ...]:
+        """The point between the fingertips, metres, robot base frame."""
+        return _floats(self._T_base_hand[:3, 3])
+
+    @property
     def inner_state(self) -> FrankaRobotState:
         """The state where the arm is held, which is what the server wants to know when somebody connects or leaves."""
         return self.state.replace(q=_floats(self._joints.value))

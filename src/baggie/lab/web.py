@@ -127,6 +127,7 @@ def truth(lab: Lab) -> dict[str, Any]:
         "time": lab.time,
         "bag": asdict(lab.world.bag_pose()),
         "bag_lowest_z": float(lab.world.bag_points[:, 2].min()),
+        "tool": dict(zip("xyz", lab.robot.tool_xyz, strict=True)),
         "gripper_width": lab.robot.hand.width,
         "motions_begun": lab.fci.begun,
         "errors_recovered": lab.fci.recovered,

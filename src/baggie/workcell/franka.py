@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from baggie.errors import ArmError, ReachError
+from baggie.errors import ReachError, StuckError
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.arm_motions import CLEAR_Z_M, PARK
@@ -39,8 +39,8 @@ class FrankaArm:
 
     `speed` is the share of every speed asked for (and of acceleration and jerk) that it really goes at: 0.1 for a first
     run. Connects at the first use. Raises `BaggieError` without `franky-control`, `ArmError` when the robot does not
-    answer, is stopped or needs a person, `ReachError` when a motion cannot be done or was cut short by a reflex from
-    which the robot has recovered.
+    answer, `StuckError` when it was stopped or needs a person, `ReachError` when a motion cannot be done or was cut
+    short by a reflex from which the robot has recovered.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class FrankaArm:
         return self.pose()
 
     def stop(self) -> None:
-        """Brake softly, now; from any thread. The motion that is under way raises `ArmError` where it is called."""
+        """Brake softly, now; from any thread. The motion that is under way raises `StuckError` where it is called."""
         with self._link.speaking():
             kinds = self._franky.ControlSignalType
             brakes = {
@@ -207,7 +207,7 @@ class FrankaArm:
                     raise
         self._settle()
         if self._stopped:
-            raise ArmError("the arm was stopped; nothing moves until it is told to again")
+            raise StuckError("the arm was stopped; nothing moves until it is told to again")
 
     def _settle(self) -> None:
         """Wait until the joints are at rest; they follow what was planned a little later."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from baggie.errors import ArmError, BaggieError, ReachError
+from baggie.errors import ArmError, BaggieError, ReachError, StuckError
 from baggie.geometry import FloatArray, difference, rigid
 from baggie.sim.scene import TOOL_OFFSET_M
 
@@ -56,7 +56,8 @@ def load_franky() -> Any:
 class FrankaLink:
     """One robot at one address. Connects when it is first needed, and again when the link was lost.
 
-    Raises `ArmError` for whatever the robot or the network answers, in one line with what to do.
+    Raises `ArmError` for whatever the robot or the network answers, in one line with what to do; `StuckError` where
+    that takes a person.
     """
 
     def __init__(self, host: str, realtime: bool) -> None:
@@ -93,10 +94,7 @@ class FrankaLink:
         except self._franky.ControlException as error:
             raise self._recover(str(error)) from None
         except (self._franky.CommandException, self._franky.GripperException) as error:
-            raise ArmError(
-                f"the robot at {self.host} refused: {_line(error)}; look at its lights and at Desk: joints unlocked, "
-                "FCI active, stop button released, nobody guiding it"
-            ) from None
+            raise self._refused(error) from None
         except (self._franky.NetworkException, RuntimeError) as error:
             if isinstance(error, RuntimeError) and "Net Exception" not in str(error):
                 raise
@@ -106,13 +104,22 @@ class FrankaLink:
                 "happens. Check cable and power; the next motion connects again"
             ) from None
 
+    def _refused(self, error: Exception) -> ArmError:
+        """What a refusal means: nothing, perhaps, of a robot that is idle; of any other, that a person has it."""
+        with self.speaking():
+            idle = self._robot.state.robot_mode == self._franky.RobotMode.Idle
+        return (ArmError if idle else StuckError)(
+            f"the robot at {self.host} refused: {_line(error)}; look at its lights and at Desk: joints unlocked, "
+            "FCI active, stop button released, nobody guiding it"
+        )
+
     def _recover(self, message: str) -> BaggieError:
         """Get the robot going again after an error, and say what it was. Nothing moves."""
         with self.speaking():
             names = set(re.findall(r"\w+_\w+", f"{self._robot.state.last_motion_errors}"))
             what = ", ".join(sorted(names)) or _line(message)
             if not self._is_ready():
-                return ArmError(
+                return StuckError(
                     f"the robot at {self.host} stopped ({what}) and does not recover by itself; look what holds it, "
                     "release its stop button, move it free by hand in guiding mode, and start again"
                 )
@@ -144,9 +151,9 @@ class FrankaLink:
                 self._gripper = _within(CONNECT_TIMEOUT_S, lambda: franky.Gripper(self.host))
                 break
             except franky.IncompatibleVersionException as error:
-                raise ArmError(_mismatch(self.host, str(error))) from None
+                raise StuckError(_mismatch(self.host, str(error))) from None
             except franky.RealtimeException as error:
-                raise ArmError(
+                raise StuckError(
                     f"no real-time priority here ({_line(error)}); install a real-time kernel (docs/franka.md), or "
                     "write `realtime: false` below `arm` in the workcell file to go without"
                 ) from None
@@ -170,7 +177,7 @@ class FrankaLink:
             state = self._robot.state
             _check_tool(np.asarray(state.F_T_EE.matrix, float))
             if not self._is_ready():
-                raise ArmError(
+                raise StuckError(
                     f"the robot at {self.host} is not ready to move (mode {state.robot_mode.name}, errors "
                     f"{state.current_errors}); release its stop button, unlock its joints and activate FCI in Desk"
                 )
@@ -180,10 +187,10 @@ class FrankaLink:
 
 
 def _check_tool(T_flange_tool: FloatArray) -> None:
-    """Raise `ArmError` unless the robot's own tool is the point between the fingertips of Franka's hand."""
+    """Raise `StuckError` unless the robot's own tool is the point between the fingertips of Franka's hand."""
     off_m, off_rad = difference(T_FLANGE_TOOL, T_flange_tool)
     if off_m > 0.001 or off_rad > 0.01:
-        raise ArmError(
+        raise StuckError(
             f"expected Franka's hand as the end effector, {1000 * TOOL_OFFSET_M:.1f} mm from flange to fingertips; the "
             f"robot's is {1000 * off_m:.1f} mm and {np.rad2deg(off_rad):.1f} degrees away from that. Choose 'Franka "
             "Hand' as end effector in Desk"

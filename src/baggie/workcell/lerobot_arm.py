@@ -122,7 +122,7 @@ class LeRobotArm:
         return self.pose()
 
     def stop(self) -> None:
-        """Send no more targets, from any thread: the joints come to rest at the last. The motion raises `ArmError`."""
+        """Send no more targets, from any thread: the joints rest at the last. The motion raises `StuckError`."""
         self._follower.stop()
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from baggie.errors import ArmError, ReachError
+from baggie.errors import ReachError, StuckError
 from baggie.geometry import FloatArray
 from baggie.sim.kinematics import Kinematics, minimum_jerk
 from baggie.workcell.lerobot_link import LeRobotLink
@@ -62,7 +62,7 @@ class Follower:
     def follow(self, path: FloatArray, speed_m_s: float, touched: Touched | None = None) -> None:
         """Follow a joint path `(N, J)` from where the joints are, until its end or a touch, and come to rest.
 
-        Raises `ReachError` when a joint stays too far behind, `ArmError` when it was stopped.
+        Raises `ReachError` when a joint stays too far behind, `StuckError` when it was stopped.
         """
         self._stopped.clear()
         times = self._kinematics.shortest_times(path, self._settings.speed * speed_m_s, self._joint_speeds)
@@ -144,6 +144,6 @@ class Follower:
         """Send joints `(J,)`, the fingers as they were unless given, as soon as the next target is due."""
         self._clock.sleep(max(self._due_s - self._clock.monotonic(), 0.0))
         if self._stopped.is_set():
-            raise ArmError("the arm was stopped; nothing moves until it is told to again")
+            raise StuckError("the arm was stopped; nothing moves until it is told to again")
         self._link.send(np.append(joints, self._target()[-1] if fingers is None else fingers))
         self._due_s = max(self._due_s, self._clock.monotonic()) + self._period_s

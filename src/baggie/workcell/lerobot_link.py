@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from baggie.errors import ArmError, BaggieError
+from baggie.errors import ArmError, BaggieError, StuckError
 from baggie.geometry import FloatArray
 
 
@@ -115,7 +115,7 @@ class LeRobotLink:
             calibrated = self._robot.is_calibrated
         if not calibrated:
             self.close()
-            raise ArmError(
+            raise StuckError(
                 f"{self._robot.name} is not calibrated; run lerobot-calibrate with the same type, port and id"
             )
 

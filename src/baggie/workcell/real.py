@@ -20,7 +20,7 @@ class _Closable(Protocol):
 
 
 class RealWorkcell(Workcell):
-    """Any arm and any camera. Nobody puts things back here: `rescue` says that it cannot."""
+    """Any arm and any camera. Nobody puts things back here but the hand, what it still holds."""
 
     repeatable = False
 
@@ -32,8 +32,13 @@ class RealWorkcell(Workcell):
         self._began = time.monotonic()
 
     def reset(self, seed: Sequence[int]) -> None:
-        """Nobody lays the table anew: the arm parks, and the scene stays as it is, whatever the seed."""
+        """Nobody lays the table anew: what the hand still holds is put down, the arm parks, the rest stays as it is."""
+        self.put_down()
         self.arm.park()
+
+    def rescue(self) -> bool:
+        """Put down what the hand still holds; whether that was where the object was."""
+        return self.put_down()
 
     def truth(self) -> None:
         """Nobody knows where the object really is."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from baggie.errors import ReachError, UnsureError
-from baggie.geometry import Rectangle
+from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import Failure, Observation, Outcome, PickPlace, Plan
 from baggie.workcell.arm import Arm
 from baggie.workcell.calibrations import Calibrations
@@ -16,6 +16,9 @@ from baggie.workcell.primitives import Handling, pick, place
 
 if TYPE_CHECKING:
     from baggie.workcell.watch import Watch
+
+_SAME_WIDTH_M = 0.003
+"""Fingers that let go stand so near to where they were sent."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,11 @@ class Workcell:
         self.arm.check(action.place, "place")
         handling = self.settings.handling
         start = self.clock()
-        grasp = pick(self.arm, action.pick, handling)
+        try:
+            grasp = pick(self.arm, action.pick, handling)
+        except ReachError:
+            self.put_down()
+            raise
         picked = self.clock()
         if not grasp.held:
             self.arm.move_gripper(handling.open_width_m)
@@ -139,6 +146,18 @@ class Workcell:
             place_z_m=release.pose.z,
             timings_s={"pick": picked - start, "place": self.clock() - picked},
         )
+
+    def put_down(self) -> bool:
+        """Put down what the hand may still hold after a motion was cut short; whether it held anything.
+
+        Where it is, or at the nearest place of the workspace.
+        """
+        h = self.settings.handling
+        if not h.empty_width_m < self.arm.gripper_width() < h.release_width_m - _SAME_WIDTH_M:
+            return False
+        here = self.arm.pose()
+        place(self.arm, PlanarPose(*self.settings.workspace.nearest(here.x, here.y), here.yaw), h)
+        return True
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""

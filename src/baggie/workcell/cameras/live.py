@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from baggie.errors import CameraError
-from baggie.types import Image, Intrinsics, Observation
+from baggie.types import Intrinsics, Observation
 from baggie.workcell.cameras.settings import CameraSettings
 
 RETRY_S = 0.5
@@ -53,8 +53,8 @@ class LiveCamera:
     somebody looks at.
 
     A picture counts as taken after the call when waiting for it began after the call, and when there *was* a wait: one
-    that was there at once had been lying in a buffer since before. A picture that is the last one over again, bit by
-    bit, is none either: every sensor has noise, so the camera has frozen.
+    that was there at once had been lying in a buffer since before. A picture that is the one before it over again, bit
+    by bit, is none either: every sensor has noise, so the camera has frozen. A look therefore takes two.
 
     When the stream breaks off, the next look opens it again, and again, until its time is over.
     """
@@ -76,12 +76,10 @@ class LiveCamera:
         self._thread.start()
         atexit.register(self.close)  # a thread inside a driver must not outlive the interpreter
         try:
-            first = self._newest(time.monotonic() + self._timeout_s)
+            self.size = self._newest(time.monotonic() + self._timeout_s).size
         except CameraError:
             self.close()
             raise
-        self.size = first.size
-        self._last: Image = first.color
 
     def look(self) -> Observation:
         """The newest picture, taken after the call; its time is when it came, seconds of the wall clock.
@@ -90,8 +88,8 @@ class LiveCamera:
         """
         with self._look:
             deadline = time.monotonic() + self._timeout_s
-            observation = self._newest(deadline)
-            while np.array_equal(observation.color, self._last):
+            before, observation = self._newest(deadline), self._newest(deadline)
+            while np.array_equal(observation.color, before.color):
                 if time.monotonic() > deadline:
                     raise CameraError(
                         f"{self.name} has frozen: it repeated one picture for {self._timeout_s:g} s; unplug it and "
@@ -103,7 +101,6 @@ class LiveCamera:
                     f"{self.name} used to give pictures of {self.size[0]} x {self.size[1]} pixels, now of "
                     f"{observation.size[0]} x {observation.size[1]}; set it back, or open it again"
                 )
-            self._last = observation.color.copy()  # the caller may draw into its own
             return replace(observation, intrinsics=self.intrinsics)
 
     @property
