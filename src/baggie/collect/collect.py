@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 from rich.console import Console
@@ -29,9 +29,13 @@ from baggie.types import Attempt
 from baggie.vision.picture_files import read_picture
 from baggie.workcell.watch import REFERENCE_FILE, Watch
 
+if TYPE_CHECKING:
+    from baggie.workcell.workcell_file import WorkcellFile
+
 PICTURE_SIZE = (640, 360)
 """`(width, height)` of the recorded pictures."""
 COVERAGE_FILE = "coverage.png"
+SIMULATED_ROBOT = "simulated FR3"
 
 OpenCell = Callable[[int], CollectorCell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
@@ -44,13 +48,13 @@ def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> Col
     return open_simulated(number, scenery=scenery)
 
 
-def open_file_cell(path: Path, number: int) -> CollectorCell:
-    """The workcell a file describes. Raises `BaggieError` for a file that cannot be used, or of another cell."""
-    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- MuJoCo takes its time
+def open_written_cell(written: WorkcellFile, path: Path, number: int) -> CollectorCell:
+    """The workcell `written` in a file. Raises `BaggieError` for one that cannot be used, or of another cell."""
+    from baggie.workcell.config import open_written  # noqa: PLC0415 -- MuJoCo takes its time
     from baggie.workcell.real import RealWorkcell  # noqa: PLC0415
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
-    cell = open_workcell(path)
+    cell = open_written(written, path)
     if isinstance(cell, RealWorkcell):
         return cell
     if not isinstance(cell, SimulatedWorkcell):
@@ -76,8 +80,10 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     options.check()
     if options.demonstrated:
         return record_demonstrations(options)
+    robot = SIMULATED_ROBOT
     if options.workcell is not None:
-        open_cell = functools.partial(open_file_cell, options.workcell)
+        written = _read(options.workcell, options.workers)
+        open_cell, robot = functools.partial(open_written_cell, written, options.workcell), _robot(written)
     elif open_cell is open_simulated_cell:
         open_cell = functools.partial(open_simulated_cell, scenery=options.scenery)
     console = Console(stderr=True)
@@ -85,7 +91,7 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     with DatasetWriter(
         options.out,
         task=INSTRUCTIONS[options.task],
-        robot_type=_robot(options),
+        robot_type=robot,
         picture_size=PICTURE_SIZE,
         collection=collection,
     ) as writer:
@@ -105,19 +111,26 @@ def collect(options: CollectOptions, open_cell: OpenCell = open_simulated_cell) 
     }
 
 
-def _robot(options: CollectOptions) -> str:
-    """What the recording says moved. Raises `BaggieError` where there are more workers than arms."""
-    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry, read_workcell_file  # noqa: PLC0415
+def _read(path: Path, workers: int | None) -> WorkcellFile:
+    """What a workcell file says. Raises `BaggieError`, also where there are more workers than arms."""
+    from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
-    arm = read_workcell_file(options.workcell).arm if options.workcell is not None else None
-    if not isinstance(arm, REAL_ARMS):
-        return "simulated FR3"
-    if options.workers != 1:
+    written = read_workcell_file(path)
+    if isinstance(written.arm, REAL_ARMS) and workers != 1:
         raise BaggieError(
-            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
+            f"expected --workers 1 with {path}, which has one arm, got {workers or 'all cores'}"
         )
-    return MODELS[arm.model].title if isinstance(arm, FrankaEntry) else arm.kind
+    return written
+
+
+def _robot(written: WorkcellFile) -> str:
+    """What the recording says moved."""
+    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry  # noqa: PLC0415
+
+    if isinstance(written.arm, FrankaEntry):
+        return MODELS[written.arm.model].title
+    return written.arm.kind if isinstance(written.arm, REAL_ARMS) else SIMULATED_ROBOT
 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
