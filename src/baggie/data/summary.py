@@ -29,11 +29,11 @@ _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0,
 def inspect_dataset(root: Path | str) -> dict[str, Any]:
     """What is in a dataset, as one JSON object.
 
-    `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how
-    many of its 5 cm squares were visited. `duration_s` spans from the first picture to the last; where the clock began
-    anew meanwhile, as a simulated one does with every scene, what went before is added. `episodes` is there where attempts belong to some: how many, how
-    many of those were finished (earned everything), and what they earned on average. Raises DataError where there is
-    no dataset.
+    `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how many of its
+    5 cm squares were visited. `duration_s` spans from the first picture to the last; where the clock began anew
+    meanwhile, as a simulated one does with every scene, what went before is added. `episodes` is there where attempts
+    belong to some: how many, how many of those were finished (earned everything), and what they earned on average.
+    Raises DataError where there is no dataset.
     """
     dataset = open_dataset(root)
     files = [path for path in dataset.root.rglob("*") if path.is_file()]
