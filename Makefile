@@ -51,7 +51,7 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: man
 
 lerobot: $(STAMP) gl ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot
-	.venv-lerobot/bin/python -m pip install --quiet "lerobot[training,dataset-viz]==0.6.1"
+	.venv-lerobot/bin/python -m pip install --quiet "lerobot[training,dataset-viz]==0.6.1" scipy # which Baggie's geometry needs
 	rm -rf build/lerobot
 	PYTHONPATH=src .venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot
 

@@ -249,6 +249,15 @@ def test_one_arm_is_not_shared_by_workers(tmp_path):
         collect(CollectOptions(out=tmp_path / "data", workcell=file, workers=2))
 
 
+def test_a_workcell_file_is_read_once(reference, tmp_path, monkeypatch):
+    file, reads, read_text = tmp_path / "cell.yaml", [], Path.read_text
+    file.write_text(f"arm: {{kind: replay, recording: {reference}}}\n")
+    monkeypatch.setattr(Path, "read_text", lambda path, *words: reads.append(path) or read_text(path, *words))
+    with pytest.raises(BaggieError, match="to describe a workcell with an arm"):  # told when it is opened
+        collect(CollectOptions(out=tmp_path / "data", workcell=file))
+    assert reads.count(file) == 1
+
+
 def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     from baggie.policies import load_policy
 

@@ -282,6 +282,21 @@ def test_every_target_we_name_can_be_read_and_printed(
 # -- people ----------------------------------------------------------------------------------------
 
 
+def test_where_all_is_prepared_nobody_is_asked_but_for_what_comes_later() -> None:
+    asked: list[str] = []
+
+    def ask(words: str) -> str:
+        asked.append(words)
+        return ""
+
+    for prepared in (True, False):
+        person = PersonAtTerminal(ask, prepared=prepared)
+        person.clear_table()
+        person.hold(None, "fix it to the hand")
+        person.lay(parse_target(HAND_MARKER), "lay it down")
+    assert asked == ["lay it down", "take everything off the table", "fix it to the hand", "lay it down"]
+
+
 def test_a_person_s_measurement_is_read_or_left_out() -> None:
     answers = iter(["1 -0.5", "", "far off"])
     person = PersonAtTerminal(lambda _words: next(answers))

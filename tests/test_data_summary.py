@@ -48,13 +48,34 @@ def test_inspect_counts_what_was_recorded(recording: Path) -> None:
     assert summary["failed"] == {"missed-grasp": 2, "lost-bag": 1}
     assert summary["picture_size"] == list(SIZE)
     assert summary["collection"] == {"seed": 3}
-    # The first begins at 0, the last (the eighth, 20 s apart) ends with its picture after 11.125 s.
+    # The first picture is taken at 0, the last 11.125 s after the eighth attempt began; they begin 20 s apart.
     assert summary["duration_s"] == pytest.approx(7 * 20 + 11.125)
     coverage = summary["coverage"]
     assert WORKSPACE.x_min - 0.01 < coverage["x_m"][0] < coverage["x_m"][1] < WORKSPACE.x_max + 0.01
     assert 8 <= coverage["visited"] <= min(16, coverage["squares"])
     on_disk = sum(path.stat().st_size for path in recording.rglob("*") if path.is_file())
     assert summary["megabytes"] == pytest.approx(on_disk / 1e6, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "duration_s"),
+    [
+        pytest.param([(1.8e9, 1.8e9 + 8), (1.8e9 + 8, 1.8e9 + 20)], 20, id="a wall clock"),
+        pytest.param([(1.5, 9), (9, 17), (1.5, 8), (8, 18.5)], 15.5 + 17, id="a simulated clock, two scenes"),
+        pytest.param([(1.5, None), (9, 17), (1.5, None)], 15.5, id="no picture after"),
+    ],
+)
+def test_duration_is_from_the_first_picture_to_the_last(
+    tmp_path: Path, stamps: list[tuple[float, float | None]], duration_s: float
+) -> None:
+    with DatasetWriter(tmp_path, task=TASK, robot_type="drawn", picture_size=SIZE) as writer:
+        for i, (before, after) in reversed(list(enumerate(stamps))):  # workers finish in any order
+            attempt = make_attempt(i, np.random.default_rng(i), SIZE)
+            assert attempt.after is not None
+            seen_after = None if after is None else dataclasses.replace(attempt.after, time=after)
+            seen_before = dataclasses.replace(attempt.before, time=before)
+            writer.append(dataclasses.replace(attempt, before=seen_before, after=seen_after))
+    assert inspect_dataset(tmp_path)["duration_s"] == pytest.approx(duration_s)
 
 
 def test_inspect_of_an_empty_dataset(tmp_path: Path) -> None:

@@ -1,10 +1,12 @@
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from baggie.cli import main
 from baggie.commissioning import health
-from baggie.commissioning.doctor import DoctorOptions, examine
+from baggie.commissioning.doctor import DoctorOptions, examine, require_healthy
 from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.types import Observation
 from baggie.workcell.workcell import Workcell, WorkcellSettings
@@ -39,6 +41,14 @@ def cell(arm: ObedientArm | None = None, eye: Eye | None = None) -> Workcell:
     return TimelessCell(arm or ObedientArm(), eye or Eye(), WorkcellSettings())
 
 
+@pytest.fixture
+def frozen(monkeypatch: pytest.MonkeyPatch) -> ObedientArm:
+    """The arm of the workcell that opens: nothing is wrong but its camera, which has frozen."""
+    arm = ObedientArm()
+    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm, Eye(frozen=True)))
+    return arm
+
+
 def test_a_healthy_arm_passes_and_moves_slowly() -> None:
     arm = ObedientArm()
     for check in health.MOVING.values():
@@ -63,41 +73,58 @@ def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Workcell, error: 
         {**health.STILL, **health.MOVING}[check](sick)
 
 
-def test_a_simulated_workcell_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_simulated_workcell_is_healthy() -> None:
     asked: list[str] = []
 
     def leave(question: str) -> bool:
         asked.append(question)
         return True
 
-    found = {finding["check"]: finding for finding in examine(DoctorOptions(), leave)["findings"]}
+    findings = examine(DoctorOptions(), leave)
+    require_healthy(findings)
+    found = {finding.check: finding.verdict for finding in findings}
     assert len(asked) == 1
     assert list(found) == ["workcell", *health.STILL, *health.MOVING]
-    sick = {name for name, finding in found.items() if finding["verdict"] != "ok"}
+    sick = {name for name, verdict in found.items() if verdict != "ok"}
     assert sick == {"calibrations", "view"}, "a fresh cell has none"
-    assert "touch" in capsys.readouterr().err
 
 
 def test_without_leave_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = ObedientArm()
     monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm))
-    findings = examine(DoctorOptions(move="no"))["findings"]
-    assert [f["verdict"] for f in findings if f["check"] in health.MOVING] == ["not tried"] * len(
-        health.MOVING
-    )
+    findings = examine(DoctorOptions(move="no"))
+    assert {f.verdict for f in findings if f.check in health.MOVING} == {"not tried"}
     assert not arm.speeds
 
 
-def test_nothing_moves_before_the_camera_works(monkeypatch: pytest.MonkeyPatch) -> None:
-    arm = ObedientArm()
-    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm, Eye(frozen=True)))
+def test_nothing_moves_before_the_camera_works(frozen: ObedientArm) -> None:
+    findings = examine(DoctorOptions(move="yes"))
     with pytest.raises(
         BaggieError, match="1 of 11 checks failed: pictures: eye shows the same picture twice"
     ):
-        examine(DoctorOptions(move="yes"))
-    assert not arm.speeds
+        require_healthy(findings)
+    assert not frozen.speeds
 
 
 def test_a_workcell_file_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
-    with pytest.raises(BaggieError, match="1 of 1 checks failed: workcell: no workcell file"):
-        examine(DoctorOptions(str(tmp_path / "nowhere.yaml")))
+    (finding,) = examine(DoctorOptions(str(tmp_path / "nowhere.yaml")))
+    assert (finding.check, finding.verdict) == ("workcell", "failed")
+    assert "no workcell file" in finding.found
+
+
+@pytest.mark.usefixtures("frozen")
+def test_all_findings_are_on_stdout_when_one_has_failed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--json"]) == 1
+    printed = capsys.readouterr()
+    findings = json.loads(printed.out)["findings"]
+    assert {finding["check"] for finding in findings} >= {"workcell", *health.STILL, *health.MOVING}
+    assert [f["check"] for f in findings if f["verdict"] == "failed"] == ["pictures"]
+    assert printed.err.startswith("error: 1 of 11 checks failed")
+    assert len(printed.err.splitlines()) == 1
+
+
+@pytest.mark.usefixtures("frozen")
+def test_people_get_a_table_on_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 1
+    table = capsys.readouterr().out
+    assert all(name in table for name in ("pictures", "failed", "not tried", *health.STILL))

@@ -17,11 +17,15 @@ from baggie import Policy
 from baggie.cli import main
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
+from baggie.grid import Grid
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
 from baggie.policies.keypoint_net import KeypointNet
 from baggie.policies.keypoint_plan import GoalInput, Reading
 from baggie.policies.regression import RegressionNet
+from baggie.policies.transporter.config import TransporterConfig
+from baggie.policies.transporter.network import TransporterNet
+from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.policies.view import View
 from baggie.vision.picture_files import read_picture, write_picture
 from policy_contract import check_policy
@@ -274,6 +278,22 @@ def test_the_command_exports_once_and_nothing_twice(tmp_path, keypoint, capsys):
         assert main(["export", "--policy", wrong[0], "--out", wrong[1]]) == 1
         assert capsys.readouterr().err.startswith("error: ")
     assert not (tmp_path / "again").exists()
+
+
+def test_a_kind_that_cannot_be_exported_says_what_to_do_and_writes_nothing(tmp_path, capsys, monkeypatch):
+    run, out = tmp_path / "run", tmp_path / "out"
+    TransporterPolicy(TransporterNet(TransporterConfig()), Grid(), 3).save_pretrained(run)
+    monkeypatch.setattr(
+        export, "find_spec", lambda name: None
+    )  # nobody is asked to install what would not help
+    assert main(["export", "--policy", str(run), "--out", str(out)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(
+        "error: expected a keypoint or regression policy to export, got transporter;"
+    )
+    assert captured.err.count("\n") == 1
+    assert not out.exists()
 
 
 def example(*arguments, cwd):

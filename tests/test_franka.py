@@ -158,17 +158,33 @@ def test_a_motion_cut_short_by_a_late_packet_is_finished(arm: FrankaArm, server:
     assert server.count() == (begun + 2, recovered + 1)
 
 
-def test_recovering_is_tried_a_few_times_only(arm: FrankaArm, server: Server) -> None:
+def test_what_does_not_recover_by_itself_is_tried_again_by_the_next_motion(
+    arm: FrankaArm, server: Server
+) -> None:
     target = beside(arm)
     server.tell("stuck")
     server.tell("reflex joint_reflex")
-    with pytest.raises(
-        ArmError, match=r"\(joint_reflex\) and does not recover by itself; look what holds it"
-    ):
+    held = r"\(joint_reflex\) and does not recover by itself; look what holds it"
+    with pytest.raises(ArmError, match=held):
+        arm.move_to(target, 1.0)
+    before = server.count()
+    with pytest.raises(ArmError, match=held):
+        arm.move_to(target, 1.0)
+    assert server.count() == before  # nothing was asked to move
+    server.tell("free")
+    np.testing.assert_allclose(arm.move_to(target, 1.0).xyz, target.xyz, atol=0.002)
+    assert server.count() == (before[0] + 1, before[1] + 1)
+
+
+def test_a_new_connection_recovers_from_what_it_finds(arm: FrankaArm, server: Server) -> None:
+    target = beside(arm)
+    server.tell("stuck")
+    server.tell("reflex joint_reflex")
+    with pytest.raises(ArmError, match="does not recover by itself"):
         arm.move_to(target, 1.0)
     server.tell("free")
     arm.close()
-    arm.move_to(target, 1.0)  # a new connection finds the robot in its error and recovers
+    arm.move_to(target, 1.0)
 
 
 def test_stop_brakes_a_motion_from_another_thread(arm: FrankaArm) -> None:

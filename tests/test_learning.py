@@ -32,7 +32,7 @@ from baggie.learning.split import Split
 from baggie.learning.state import FILE
 from baggie.policies import KeypointPolicy, load_policy, planar_map
 from baggie.policies.resnet import ResNet18
-from baggie.types import Goal, Observation
+from baggie.types import Goal, Observation, Plan
 from baggie.vision.draw import paint_goal
 from policy_contract import check_policy
 from synthetic import box_corners, make_attempt
@@ -315,6 +315,21 @@ def test_goals_a_policy_cannot_tell_are_counted(overfitted):
     assert measured["without_plan"] == 1
     assert measured["labels"]["pick_error_cm"]["n"] == 1
     assert measure(policy, [far]) == {"without_plan": 1}
+
+
+@pytest.mark.parametrize(("symmetry", "off_deg"), [(1, 90), (2, 90), (4, 0), (0, 0)])
+def test_yaws_are_compared_modulo_the_object_s_symmetry(symmetry, off_deg):
+    class QuarterTurned:
+        name = "turned"
+
+        def plan(self, observation, goal=None):
+            right = next(a for a in ATTEMPTS if a.before is observation).outcome.executed
+            return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
+
+    labels = measure(QuarterTurned(), ATTEMPTS[:3], symmetry)["labels"]
+    assert labels["pick_yaw_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
+    assert labels["turn_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
+    assert labels["place_yaw_error_deg"]["max"] == pytest.approx(0)
 
 
 def test_a_device_that_is_not_there(tmp_path):

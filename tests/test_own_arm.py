@@ -121,6 +121,17 @@ def test_a_workcell_file_opens_an_arm_that_lies_beside_it(
     cell.close()
 
 
+def test_a_real_workcell_and_its_pictures_have_one_clock(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    shutil.copy(EXAMPLE, folder / "timed_arm.py")
+    cell = baggie.open_workcell(written(folder, "{kind: python, factory: 'timed_arm:open_arm'}"))
+    before, seen, after = cell.clock(), cell.camera.look().time, cell.clock()
+    assert before - 0.1 <= seen <= after + 0.1  # clocks of an operating system tick, and are set
+    cell.close()
+
+
 WRONG = """
 class Half:
     info = "half an arm"

@@ -16,6 +16,7 @@ from baggie.grid import Grid
 from baggie.learning import TrainOptions, train
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.episodes import split_episodes
+from baggie.learning.measure import measure
 from baggie.learning.moved_maps import MovedMaps, Moves, random_move, rigid_move
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import load_policy
@@ -232,6 +233,14 @@ def test_every_kind_trains_and_loads(tmp_path, changes):
     assert metrics["labels"]["pick_error_cm"]["n"] == 2
     loaded = load_policy(tmp_path).network.config
     assert {name: getattr(loaded, name) for name in changes} == changes
+
+
+@pytest.mark.parametrize(("given", "compared"), [(None, 1), (2, 2), (4, 4)])
+def test_yaws_are_compared_modulo_the_symmetry_of_what_is_moved(tmp_path, given, compared):
+    metrics = train(options(tmp_path, steps=1, symmetry=given), ATTEMPTS)
+    policy = load_policy(tmp_path)
+    val = [attempt for attempt in ATTEMPTS if attempt.attempt_id in policy.training["split"]["val"]]
+    assert metrics["labels"] == measure(policy, val, compared)["labels"]
 
 
 def test_an_interrupted_training_ends_in_the_same_weights(tmp_path, monkeypatch):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import tyro
+from rich.console import Console
 
 from baggie.cli_calibrate import calibrate
 from baggie.cli_output import show
 from baggie.cli_workcell import workcell
 from baggie.collect import CollectOptions
 from baggie.collect import collect as run_collect
-from baggie.commissioning.doctor import DoctorOptions, examine
+from baggie.commissioning.doctor import DoctorOptions, as_table, examine, require_healthy
 from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
 from baggie.data.ravens_convert import ImportOptions
@@ -154,7 +156,10 @@ def doctor(options: DoctorOptions, json: bool = False) -> None:
     """
     findings = examine(options)
     if json:
-        show(findings, json)
+        show({"findings": [asdict(finding) for finding in findings]}, json)
+    else:
+        Console().print(as_table(findings))
+    require_healthy(findings)
 
 
 def lab(options: LabOptions) -> None:

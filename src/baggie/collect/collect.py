@@ -16,7 +16,7 @@ from rich.console import Console
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.opening import SIMULATED, OpenCell, opener, robot_of
+from baggie.collect.opening import SIMULATED, OpenCell, what_opens
 from baggie.collect.options import INSTRUCTIONS, CollectOptions
 from baggie.collect.patience import PAUSES_S, Patience
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
@@ -50,9 +50,9 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     if options.demonstrated:
         return record_demonstrations(options)
     console = Console(stderr=True)
-    robot = robot_of(options)
+    opener, robot = what_opens(options)
     simulated = open_cell is None and robot == SIMULATED
-    open_cell = open_cell or opener(options)
+    open_cell = open_cell or opener
     patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
     collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery}
     with DatasetWriter(

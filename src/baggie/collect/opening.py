@@ -5,10 +5,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from baggie.collect.cell import CollectorCell
 from baggie.collect.options import CollectedScenery, CollectOptions
 from baggie.errors import BaggieError
+
+if TYPE_CHECKING:
+    from baggie.workcell.workcell_file import WorkcellFile
 
 OpenCell = Callable[[int], CollectorCell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
@@ -22,13 +26,13 @@ def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> Col
     return open_simulated(number, scenery=scenery)
 
 
-def open_file_cell(path: Path, number: int) -> CollectorCell:
-    """The workcell a file describes. Raises `BaggieError` for a file that cannot be used, or of another cell."""
-    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- MuJoCo takes its time
+def open_written_cell(written: WorkcellFile, path: Path, number: int) -> CollectorCell:
+    """The workcell `written` in a file. Raises `BaggieError` for one that cannot be used, or of another cell."""
+    from baggie.workcell.config import open_written  # noqa: PLC0415 -- MuJoCo takes its time
     from baggie.workcell.real import RealWorkcell  # noqa: PLC0415
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
-    cell = open_workcell(path)
+    cell = open_written(written, path)
     if isinstance(cell, RealWorkcell):
         return cell
     if not isinstance(cell, SimulatedWorkcell):
@@ -44,23 +48,27 @@ def open_file_cell(path: Path, number: int) -> CollectorCell:
     return cell
 
 
-def opener(options: CollectOptions) -> OpenCell:
-    """What opens the cell that the options say."""
-    if options.workcell is not None:
-        return functools.partial(open_file_cell, options.workcell)
-    return functools.partial(open_simulated_cell, scenery=options.scenery)
+def what_opens(options: CollectOptions) -> tuple[OpenCell, str]:
+    """What opens the cell that the options say, and what a recording of it says moved. A file is read once, now.
 
+    Raises `BaggieError` for a file that cannot be used, and where there are more workers than arms.
+    """
+    if options.workcell is None:
+        return functools.partial(open_simulated_cell, scenery=options.scenery), SIMULATED
+    from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
-def robot_of(options: CollectOptions) -> str:
-    """What the recording says moved. Raises `BaggieError` where there are more workers than arms."""
-    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry, read_workcell_file  # noqa: PLC0415
-
-    arm = read_workcell_file(options.workcell).arm if options.workcell is not None else None
-    if not isinstance(arm, REAL_ARMS):
-        return SIMULATED
-    if options.workers != 1:
+    written = read_workcell_file(options.workcell)
+    if isinstance(written.arm, REAL_ARMS) and options.workers != 1:
         raise BaggieError(
             f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
         )
-    return MODELS[arm.model].title if isinstance(arm, FrankaEntry) else arm.kind
+    return functools.partial(open_written_cell, written, options.workcell), _robot(written)
+
+
+def _robot(written: WorkcellFile) -> str:
+    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry  # noqa: PLC0415
+
+    if isinstance(written.arm, FrankaEntry):
+        return MODELS[written.arm.model].title
+    return written.arm.kind if isinstance(written.arm, REAL_ARMS) else SIMULATED

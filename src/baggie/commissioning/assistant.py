@@ -58,10 +58,14 @@ class Assistant(Protocol):
 class PersonAtTerminal:
     """Prints what to do and waits for Enter. Ctrl-C stops; what was recorded by then stays."""
 
-    def __init__(self, ask: Callable[[str], str] | None = None) -> None:
-        """`ask` prints a prompt and returns the answer; the terminal unless given."""
+    def __init__(self, ask: Callable[[str], str] | None = None, *, prepared: bool = False) -> None:
+        """`ask` prints a prompt and returns the answer; the terminal unless given.
+
+        `prepared`: the table is clear already, and what the hand is to hold is in it, so nobody is asked for either.
+        """
         self._console = Console(stderr=True)
         self._ask = ask or self._ask_terminal
+        self._prepared = prepared
         self._last = ""
 
     def show(self, target: Target, words: str) -> None:
@@ -71,16 +75,18 @@ class PersonAtTerminal:
             self._last = words
 
     def clear_table(self) -> None:
-        """Ask, and wait."""
-        self._ask("take everything off the table")
+        """Ask, and wait, unless all is prepared."""
+        if not self._prepared:
+            self._ask("take everything off the table")
 
     def lay(self, target: Target, words: str) -> None:
         """Ask, and wait."""
         self._ask(words)
 
     def hold(self, target: Target | None, words: str) -> None:
-        """Ask, and wait."""
-        self._ask(words)
+        """Ask, and wait, unless all is prepared."""
+        if not self._prepared:
+            self._ask(words)
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """Ask, and wait."""

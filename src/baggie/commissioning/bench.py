@@ -77,13 +77,17 @@ class Bench:
 
 
 @contextmanager
-def open_bench(options: LiveOptions) -> Iterator[Bench]:
-    """Open what the options name, and close it after. Raises `BaggieError`, `CameraError`."""
+def open_bench(options: LiveOptions, person: Assistant | None = None) -> Iterator[Bench]:
+    """Open what the options name, and close it after. Raises `BaggieError`, `CameraError`.
+
+    `person` helps at a real workcell: one at the terminal unless given.
+    """
+    person = person or PersonAtTerminal()
     console = Console(stderr=True)
     if options.camera is not None:
         camera = open_camera(CameraSettings.from_words(options.camera))
         try:
-            yield Bench(camera, None, PersonAtTerminal(), console)
+            yield Bench(camera, None, person, console)
         finally:
             camera.close()
         return
@@ -91,17 +95,17 @@ def open_bench(options: LiveOptions) -> Iterator[Bench]:
 
     cell = open_workcell(options.workcell, options.cell)
     try:
-        yield Bench(cell.camera, cell, _assistant(cell, options.seed), console)
+        yield Bench(cell.camera, cell, _assistant(cell, options.seed, person), console)
     finally:
         cell.close()
 
 
-def _assistant(cell: Workcell, seed: int) -> Assistant:
+def _assistant(cell: Workcell, seed: int, person: Assistant) -> Assistant:
     from baggie.commissioning.simulated_assistant import SimulatedAssistant  # noqa: PLC0415
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
     if not isinstance(cell, SimulatedWorkcell):
-        return PersonAtTerminal()
+        return person
     cell.reset((seeds.CALIBRATION, seed))
     return SimulatedAssistant(cell, seed)
 

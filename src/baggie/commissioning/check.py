@@ -11,6 +11,7 @@ import numpy as np
 from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
 from baggie.calibration.image_to_robot.picture import draw_comparison
+from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.bench import Bench, LiveOptions, open_bench
 from baggie.commissioning.image_to_robot import MARGIN_M
 from baggie.commissioning.points import marker_finder, parse_marker, visit
@@ -42,6 +43,8 @@ class CheckOptions(LiveOptions):
     """In the hand, as for `image-to-robot`."""
     marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
     """As for `image-to-robot`."""
+    prepared: bool = False
+    """As for `image-to-robot`; with --touches 0, nobody is needed at all."""
     table_marker: str = TABLE_MARKER
     """Laid on the table and touched."""
     against: str | None = None
@@ -54,7 +57,7 @@ def check_calibration(options: CheckOptions) -> dict[str, Any]:
     image_to_robot = ImageToRobot.load(options.map)
     if options.against is not None:
         return _compare(image_to_robot, options)
-    with open_bench(options) as bench:
+    with open_bench(options, PersonAtTerminal(prepared=options.prepared)) as bench:
         image_to_robot.camera.check(bench.identity, str(options.map))
         result = check_live(bench, image_to_robot, options)
     worst = max(result[name]["mean"] for name in ("held_out_mm", "touch_mm") if name in result)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from baggie.commissioning.health import MOVING, STILL, Check, Doubt
@@ -40,32 +41,40 @@ class Finding:
     found: str
 
 
-def examine(options: DoctorOptions, leave: Callable[[str], bool] | None = None) -> dict[str, Any]:
-    """The findings, ready for JSON; a table of them on stderr. Raises `BaggieError` where one has failed.
+def examine(options: DoctorOptions, leave: Callable[[str], bool] | None = None) -> list[Finding]:
+    """What came of all checks, failed ones too.
 
     `leave` is asked whether the arm may move; the terminal unless given.
     """
     from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
 
-    console = Console(stderr=True)
-    findings: list[Finding] = []
     try:
         cell = open_workcell(options.workcell, options.cell)
     except BaggieError as error:
-        findings.append(Finding("workcell", "failed", str(error)))
-    else:
-        try:
-            findings.append(Finding("workcell", "ok", f"{options.workcell}: {cell.settings.name}"))
-            findings += list(_all_checks(cell, options, leave or _ask))
-        finally:
-            cell.close()
-    console.print(_table(findings))
+        return [Finding("workcell", "failed", str(error))]
+    try:
+        opened = Finding("workcell", "ok", f"{options.workcell}: {cell.settings.name}")
+        return [opened, *_all_checks(cell, options, leave or _ask)]
+    finally:
+        cell.close()
+
+
+def as_table(findings: Iterable[Finding]) -> Table:
+    """The findings for people."""
+    table = Table("check", "", "found")
+    for finding in findings:
+        color = _COLORS[finding.verdict]
+        table.add_row(finding.check, f"[{color}]{finding.verdict}[/]", escape(finding.found))
+    return table
+
+
+def require_healthy(findings: Sequence[Finding]) -> None:
+    """Raise `BaggieError` where a check has failed."""
     failed = [finding for finding in findings if finding.verdict == "failed"]
     if failed:
         raise BaggieError(
             f"{len(failed)} of {len(findings)} checks failed: {failed[0].check}: {failed[0].found}"
         )
-    return {"findings": [asdict(finding) for finding in findings]}
 
 
 def _all_checks(cell: Workcell, options: DoctorOptions, leave: Callable[[str], bool]) -> Iterable[Finding]:
@@ -93,14 +102,6 @@ def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool 
         except BaggieError as error:
             failed = name if stop_at_failure else ""
             yield Finding(name, "failed", str(error))
-
-
-def _table(findings: Iterable[Finding]) -> Table:
-    table = Table("check", "", "found")
-    for finding in findings:
-        color = _COLORS[finding.verdict]
-        table.add_row(finding.check, f"[{color}]{finding.verdict}[/]", finding.found)
-    return table
 
 
 def _ask(question: str) -> bool:

@@ -14,6 +14,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.marker_offset import check_marker_offset
 from baggie.calibration.image_to_robot.picture import draw_residuals
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.points import Find, grid, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER
@@ -44,6 +45,8 @@ class ImageToRobotOptions(LiveOptions):
     """What the hand carries: aruco:DICTIONARY:NUMBER:SIZE, or color:R,G,B for a coloured blob."""
     marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
     """The marker's middle in the tool's frame (x forward, y right, z down), metres."""
+    prepared: bool = False
+    """The table is clear, the marker in the hand and nobody near the arm: it begins at once, and asks nobody."""
     heights: tuple[float, ...] = (0.05, 0.15)
     """At which the marker is carried, metres above the table. With one height and no intrinsics the map is right at
     that height only."""
@@ -62,7 +65,7 @@ def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:
     if options.from_ is not None:
         result = _fit_folder(options.from_, options)
     else:
-        with open_bench(options) as bench:
+        with open_bench(options, PersonAtTerminal(prepared=options.prepared)) as bench:
             result = calibrate_image_to_robot_live(bench, options)
     result.save(options.out)
     picture = options.out.with_suffix(".png")

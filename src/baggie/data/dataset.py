@@ -93,6 +93,15 @@ class Dataset(Sequence[Attempt]):
         """`(N,)`: the episode each attempt belongs to, -1 where it stands alone."""
         return _numeric(self._numbers["episode"].combine_chunks().fill_null(-1))
 
+    @property
+    def object_symmetry(self) -> int:
+        """How often a turn what is moved looks the same, as the recording says; 0 at any angle.
+
+        Where it does not: 4 for bags, of which no recording says it; 1, none, in height maps, as in training.
+        """
+        unknown = 4 if self.grid is None else 1
+        return int(self.collection.get("object_symmetry", unknown))
+
     @cached_property
     def grid(self) -> Grid | None:
         """The grid of the pictures before, where they are orthographic; None where a camera took them.

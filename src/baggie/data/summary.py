@@ -29,11 +29,11 @@ _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0,
 def inspect_dataset(root: Path | str) -> dict[str, Any]:
     """What is in a dataset, as one JSON object.
 
-    `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how
-    many of its 5 cm squares were visited. `duration_s` spans from the first attempt's beginning to the last
-    one's end as far as the recorded times tell. `episodes` is there where attempts belong to some: how many, how
-    many of those were finished (earned everything), and what they earned on average. Raises DataError where there is
-    no dataset.
+    `coverage` tells where bags were picked and placed: the extent in the robot base frame, metres, and how many of its
+    5 cm squares were visited. `duration_s` spans from the first picture to the last; where the clock began anew
+    meanwhile, as a simulated one does with every scene, what went before is added. `episodes` is there where attempts
+    belong to some: how many, how many of those were finished (earned everything), and what they earned on average.
+    Raises DataError where there is no dataset.
     """
     dataset = open_dataset(root)
     files = [path for path in dataset.root.rglob("*") if path.is_file()]
@@ -72,10 +72,14 @@ def _durations(dataset: Dataset) -> dict[str, Any]:
     numbers = dataset.numbers()
     if not len(dataset):
         return {"duration_s": 0.0, "phases_s": {}}
-    end = np.fmax(numbers["time"], numbers["after_time"].astype(float))
+    in_order = np.argsort(dataset.attempt_ids)
+    begin = numbers["before_time"].astype(float)[in_order]
+    end = np.fmax(begin, numbers["after_time"].astype(float)[in_order])
+    anew = np.flatnonzero(np.diff(begin, prepend=np.inf) < 0)
+    spans = np.maximum.reduceat(end, anew) - begin[anew]
     phases = {name: numbers[name] for name in numbers if name.startswith("timings_s.")}
     return {
-        "duration_s": round(float(end.max() - numbers["time"].min()), 3),
+        "duration_s": round(float(spans.sum()), 3),
         "phases_s": {
             name.removeprefix("timings_s."): {
                 "mean": round(float(np.nanmean(seconds)), 3),

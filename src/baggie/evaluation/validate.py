@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baggie.data import Dataset, open_dataset
+from baggie.data import open_dataset
 from baggie.evaluation.heldout import held_out
 from baggie.evaluation.predictions import measure, predict
 from baggie.evaluation.results import provenance, write_json
@@ -50,7 +50,7 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     chosen = held_out(options.policy, dataset, options.last)
-    symmetry = symmetry_of(dataset)
+    symmetry = dataset.object_symmetry
     attempts = (dataset[index] for index in chosen.indices)
     predictions = predict(policy, attempts, len(chosen.indices), symmetry)
     counted = would_count(dataset, predictions)
@@ -76,12 +76,3 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     write_json(options.out / "predictions.json", {"worst": worst, "predictions": records})
     write_json(options.out / "metrics.json", metrics)
     return metrics
-
-
-def symmetry_of(dataset: Dataset) -> int:
-    """How often a turn what is moved looks the same, as the recording says.
-
-    Where it does not: 4 for bags, of which no recording says it; 1, none, in height maps, as in training.
-    """
-    unknown = 4 if dataset.grid is None else 1
-    return int(dataset.collection.get("object_symmetry", unknown))

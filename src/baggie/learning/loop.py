@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from accelerate import Accelerator
@@ -24,11 +25,9 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
 
 from baggie.learning.background import deferred_interrupt, flushed_denormals, prefetched
-from baggie.learning.measure import measure
 from baggie.learning.recipe import Batch, Recipe
 from baggie.learning.state import Every, State
 from baggie.policies.learned import LearnedPolicy
-from baggie.types import Attempt
 
 _LOGGED = 200
 """Points in a loss curve."""
@@ -72,9 +71,9 @@ class Training:
         policy.network = self._state.network if self._state.average is None else self._state.average.module
         return policy
 
-    def run(self, val: Sequence[Attempt]) -> float:
-        """Learn to the end; the seconds that took, over all runs. `val` is measured now and then, for the
-        log.
+    def run(self, judge: Callable[[LearnedPolicy], Mapping[str, Any]]) -> float:
+        """Learn to the end; the seconds that took, over all runs. What `judge` says of the policy now and then, as
+        `measure` does, is logged.
 
         Ctrl-C saves and raises KeyboardInterrupt, whose message says how to go on.
         """
@@ -96,7 +95,7 @@ class Training:
                 if state.step % max(1, self.steps // _LOGGED) == 0:
                     self._log(board, progress, bar, loss, parts)
                 if state.step % max(1, self.steps // _MEASURED) == 0:
-                    self._log_validation(board, val)
+                    self._log_validation(board, judge(self.policy))
                 if interrupted.is_set() or state.step == self.steps or self._save_now():
                     state.save(self.folder)
                 if interrupted.is_set() and state.step < self.steps:
@@ -134,8 +133,8 @@ class Training:
         for name, value in {"loss": loss, **parts}.items():
             board.add_scalar(f"train/{name}", value.item(), self._state.step)
 
-    def _log_validation(self, board: SummaryWriter, val: Sequence[Attempt]) -> None:
-        for name, values in measure(self.policy, val).get("labels", {}).items():
+    def _log_validation(self, board: SummaryWriter, measured: Mapping[str, Any]) -> None:
+        for name, values in measured.get("labels", {}).items():
             board.add_scalar(f"val/{name}", values["mean"], self._state.step)
 
 

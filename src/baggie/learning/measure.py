@@ -13,9 +13,10 @@ from baggie.policies.base import Policy
 from baggie.types import Attempt
 
 
-def measure(policy: Policy, attempts: Sequence[Attempt]) -> dict[str, Any]:
+def measure(policy: Policy, attempts: Sequence[Attempt], symmetry: int = 4) -> dict[str, Any]:
     """`labels` and `truth`, each a summary by quantity, and how many attempts were `without_plan`.
 
+    `symmetry`: how often a turn what is moved looks the same; yaws are compared modulo that part of a turn.
     Attempts for which the policy could not tell have no error; where that is all of them, nor are there summaries.
     """
     errors: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
@@ -27,7 +28,7 @@ def measure(policy: Policy, attempts: Sequence[Attempt]) -> dict[str, Any]:
             without_plan += 1
             continue
         for reference, right in references(attempt).items():
-            errors[reference].append(action_errors(action, right))
+            errors[reference].append(action_errors(action, right, symmetry))
     summaries = {
         reference: {key: summary([row[key] for row in rows]) for key in rows[0]}
         for reference, rows in errors.items()

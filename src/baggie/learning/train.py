@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,14 +80,15 @@ def train(
         save_every_s=options.save_every_s,
         accelerator=accelerator,
     )
-    seconds = training.run(split.val)
+    judge = partial(measure, attempts=split.val, symmetry=_compared(options, recorded))
+    seconds = training.run(judge)
     policy = training.policy
     metrics = {
         "policy": policy.name,
         "steps": steps,
         "train_s": seconds,
         **recipe.finish(policy, split.val),
-        **measure(policy, split.val),
+        **judge(policy),
         "provenance": provenance([options.seed]),
     }
     if accelerator.is_main_process:
@@ -97,6 +99,15 @@ def train(
         content = json.dumps(metrics, indent=2, allow_nan=False).encode()
         checkpoint.write_files(options.out, {METRICS: content})  # last: where it is, all is there
     return metrics
+
+
+def _compared(options: TrainOptions, recorded: Sequence[Attempt]) -> int:
+    """How often a turn what is moved looks the same, where yaws are compared."""
+    if options.symmetry is not None:
+        return options.symmetry
+    if isinstance(recorded, Dataset):
+        return recorded.object_symmetry
+    return 4 if from_camera(recorded) else 1
 
 
 def _accelerator(device: str) -> Accelerator:

@@ -73,7 +73,10 @@ class Exportable:
         if isinstance(policy, RegressionPolicy):
             side = regression_plan.SIDE
             return cls(policy.network.eval(), {"images": np.zeros((1, 3, side, side), np.uint8)}, ["xy"], {})
-        raise BaggieError(f"expected a keypoint or regression policy to export, got {policy.name}")
+        raise BaggieError(
+            f"expected a keypoint or regression policy to export, got {policy.name}; that one runs with PyTorch only: "
+            "take its run's folder itself, wherever an exported one would do"
+        )
 
     def run(self, inputs: Arrays) -> list[NDArray[np.float32]]:
         """What PyTorch says, in the order of `outputs`."""
@@ -130,12 +133,12 @@ def export_policy(policy: LearnedPolicy, folder: Path) -> dict[str, float]:
     Raises `BaggieError` when onnx or onnxruntime is not installed, the result is further off than 1e-4, or the folder
     cannot be written.
     """
+    exportable = Exportable.of(policy)
     missing = [name for name in ("onnx", "onnxruntime") if find_spec(name) is None]
     if missing:
         raise BaggieError(f'exporting needs {" and ".join(missing)}: pip install "baggie[export]"')
     if (folder / checkpoint.WEIGHTS).exists():
         raise DataError(f"{folder} holds a training run: give --out another folder")
-    exportable = Exportable.of(policy)
     content = exportable.onnx()
     with TemporaryDirectory() as scratch:
         path = Path(scratch, checkpoint.GRAPH)

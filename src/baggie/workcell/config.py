@@ -49,7 +49,11 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
     if str(source) == "sim":
         return SimulatedWorkcell(cell)
     path = Path(source)
-    written = read_workcell_file(path)
+    return open_written(read_workcell_file(path), path)
+
+
+def open_written(written: WorkcellFile, path: Path) -> Workcell:
+    """The workcell that is `written` in the file `path`. Raises as `open_workcell` does."""
     opened = _open(written, path)
     identity = CameraIdentity(opened.camera.name, *opened.camera.size)
     try:

@@ -196,6 +196,7 @@ class FrankaArm:
 
     def _move(self, motion: Callable[[], Any]) -> None:
         """Run a motion to its end; Ctrl-C brakes. One that late packets cut short is begun again where it ended."""
+        self._link.make_ready()
         self._stopped = False
         for attempt in range(TRIES):
             try:

@@ -20,6 +20,8 @@ CONNECT_TRIES = 3
 RETRY_PAUSE_S = 0.5
 RECOVERIES = 3
 """How often the robot's automatic error recovery is tried after one error."""
+IDLE_WITHIN_S = 2.0
+"""After it has recovered."""
 REFLEX_FORCE_N = 60.0
 REFLEX_TORQUES_NM = [40.0, 40.0, 36.0, 36.0, 32.0, 28.0, 24.0]
 """A contact harder than these is a reflex: the robot stops by itself. Twice those of libfranka's examples, so that
@@ -67,6 +69,8 @@ class FrankaLink:
         self._realtime = config.Enforce if realtime else config.Ignore
         self._robot: Any = None
         self._gripper: Any = None
+        self._unrecovered = ""
+        """The errors that ended a motion and are there still."""
 
     @property
     def robot(self) -> Any:
@@ -85,6 +89,16 @@ class FrankaLink:
     def close(self) -> None:
         """Let go of the robot; it holds its position."""
         self._robot = self._gripper = None
+
+    def make_ready(self) -> None:
+        """Before a motion: recover from what the last one ended in, if the robot can by now.
+
+        Raises the last one's `StuckError` while it cannot.
+        """
+        with self.speaking():
+            if self._unrecovered and not self._is_ready():
+                raise self._held()
+        self._unrecovered = ""
 
     @contextmanager
     def speaking(self) -> Iterator[None]:
@@ -119,10 +133,8 @@ class FrankaLink:
             names = set(re.findall(r"\w+_\w+", f"{self._robot.state.last_motion_errors}"))
             what = ", ".join(sorted(names)) or _line(message)
             if not self._is_ready():
-                return StuckError(
-                    f"the robot at {self.host} stopped ({what}) and does not recover by itself; look what holds it, "
-                    "release its stop button, move it free by hand in guiding mode, and start again"
-                )
+                self._unrecovered = what
+                return self._held()
         text = f"the robot at {self.host} stopped on its way ({what}) and has recovered"
         if names & HICCUPS:
             return HiccupError(f"{text}; connect it directly and use a real-time kernel (docs/franka.md)")
@@ -130,16 +142,30 @@ class FrankaLink:
             return CollisionError(f"{text}; something is in its way, or it was pushed")
         return ReachError(f"{text}; choose another place or a lower speed")
 
+    def _held(self) -> StuckError:
+        return StuckError(
+            f"the robot at {self.host} stopped ({self._unrecovered}) and does not recover by itself; look what holds "
+            "it, release its stop button, move it free by hand in guiding mode; the next motion tries again"
+        )
+
     def _is_ready(self) -> bool:
         """Whether the robot is ready to move, after its automatic error recovery where it needs one."""
         for _ in range(RECOVERIES):
             try:
-                if not self._robot.has_errors or self._robot.recover_from_errors():
-                    return bool(self._robot.state.robot_mode == self._franky.RobotMode.Idle)
+                if not self.robot.has_errors or self.robot.recover_from_errors():
+                    return self._is_idle()
             except self._franky.CommandException:  # "manual error recovery required", or not yet possible
                 pass
             time.sleep(RETRY_PAUSE_S)
         return False
+
+    def _is_idle(self) -> bool:
+        """Whether the robot says that it is idle; just after it has recovered, it says so a little late."""
+        deadline = time.monotonic() + IDLE_WITHIN_S
+        while not (idle := bool(self.robot.state.robot_mode == self._franky.RobotMode.Idle)):
+            if time.monotonic() > deadline:
+                break
+        return idle
 
     def _connect(self) -> None:
         franky = self._franky

@@ -12,7 +12,7 @@ import numpy as np
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
 from baggie.workcell.arm import Arm, ArmInfo, hand_pose
-from baggie.workcell.watchdog import Watchdog
+from baggie.workcell.watchdog import BarkError, Watchdog
 
 _STRAIGHT_M = 0.005
 """A motion that leads less far aside than this is straight up or down."""
@@ -49,7 +49,7 @@ class GuardedArm:
         self.limits = limits
         self.info: ArmInfo = arm.info
         self.watchdog: Watchdog | None = None
-        """Given one, motions are stopped when it barks; then they raise `CameraError`."""
+        """Given one, motions are stopped when it barks; then they raise `BarkError`."""
 
     def check(self, pose: PlanarPose | ToolPose, name: str = "tool") -> None:
         """Raise `LimitError` unless the pose is allowed; a planar pose is one at table height."""
@@ -153,7 +153,7 @@ class GuardedArm:
         try:
             with watching:
                 yield
-        except ReachError:  # nothing moves
+        except (ReachError, BarkError):  # nothing moves
             raise
         except BaseException:
             self._arm.stop()

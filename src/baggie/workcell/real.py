@@ -29,7 +29,7 @@ class RealWorkcell(Workcell):
         if isinstance(camera, LiveCamera):
             self.arm.watchdog = Watchdog(camera.silent_s, camera.frame_timeout_s, camera.name)
         self._devices = (arm, camera)
-        self._began = time.monotonic()
+        self._epoch = time.time() - time.monotonic()
 
     def reset(self, seed: Sequence[int]) -> None:
         """Nobody lays the table anew: what the hand still holds is put down, the arm parks, the rest stays as it is."""
@@ -52,8 +52,8 @@ class RealWorkcell(Workcell):
             )
 
     def clock(self) -> float:
-        """Seconds since it was opened."""
-        return time.monotonic() - self._began
+        """Seconds of the wall clock, as its pictures have them; never set back while the workcell is open."""
+        return self._epoch + time.monotonic()
 
     def close(self) -> None:
         """Let go of the camera, and of an arm that has a `close`."""

@@ -1,0 +1,117 @@
+"""Questions to a person, asked until the answer will do, and what may be answered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError, create_model
+from rich.console import Console
+
+from baggie.errors import BaggieError
+
+Answer = TypeVar("Answer")
+Parse = Callable[[str], Answer]
+"""Makes something of an answer. Raises `ValueError`, in one line, where it cannot."""
+
+
+class Questions:
+    """Asks until an answer will do."""
+
+    def __init__(self, ask: Callable[[str], str] | None = None) -> None:
+        """`ask` prints a prompt and returns the answer; the terminal unless given."""
+        self._ask = ask or partial(Console(stderr=True).input, markup=False)
+
+    def ask(self, words: str, default: str, parse: Parse[Answer]) -> Answer:
+        """Enter alone takes the default; where that is empty, there has to be an answer.
+
+        Raises `BaggieError` where nobody answers.
+        """
+        hint, offer = "", f" ({default})" if default else ""
+        while True:
+            try:
+                answer = self._ask(f"{hint}{words}{offer}: ").strip()
+            except EOFError:
+                raise BaggieError(f"nobody answers: {words}; run this in a terminal") from None
+            try:
+                if not (answer or default):
+                    raise ValueError("expected an answer")
+                return parse(answer or default)
+            except ValueError as error:
+                hint = f"{answer!r} will not do ({error}); "
+
+
+def one_of(*choices: str) -> Parse[str]:
+    """One of these words."""
+
+    def parse(answer: str) -> str:
+        if answer not in choices:
+            raise ValueError(f"expected {', '.join(choices[:-1])} or {choices[-1]}")
+        return answer
+
+    return parse
+
+
+def entry(model: type[BaseModel], name: str) -> Parse[Any]:
+    """What this entry of a file may be, by the rules of its reader."""
+    field = model.model_fields[name]
+    assert field.annotation is not None
+    alone: type[BaseModel] = create_model("Alone", answer=(field.annotation, field))
+
+    def parse(answer: str) -> Any:
+        try:
+            return alone.model_validate({"answer": answer}).model_dump(mode="json")["answer"]
+        except ValidationError as error:
+            raise ValueError(error.errors()[0]["msg"]) from None
+
+    return parse
+
+
+def word(answer: str) -> str:
+    """Anything without spaces."""
+    if len(answer.split()) != 1:
+        raise ValueError("expected one word")
+    return answer
+
+
+def number(answer: str) -> float:
+    """A finite number."""
+    value = float(answer)
+    if not math.isfinite(value):
+        raise ValueError("expected a finite number")
+    return value
+
+
+def several(parse: Parse[Answer], count: int | None = None) -> Parse[list[Answer]]:
+    """So many, or any number of them, apart by spaces or commas."""
+
+    def parse_all(answer: str) -> list[Answer]:
+        words = answer.replace(",", " ").split()
+        if count is not None and len(words) != count:
+            raise ValueError(f"expected {count} of them, apart by spaces")
+        return [parse(one) for one in words]
+
+    return parse_all
+
+
+def bounds(answer: str) -> list[float]:
+    """Two numbers, the lower one first."""
+    low, high = several(number, 2)(answer)
+    if not low < high:
+        raise ValueError("expected the lower one first")
+    return [low, high]
+
+
+def color(answer: str) -> list[int]:
+    """Red, green, blue of 255."""
+    values = several(int, 3)(answer)
+    if not all(0 <= value <= 255 for value in values):
+        raise ValueError("expected three numbers of 0 to 255")
+    return values
+
+
+def spaced(values: tuple[Any, ...]) -> str:
+    """A default of several, as a person would type it."""
+    return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
