@@ -8,7 +8,7 @@ from baggie.data.augmentation import random_warp
 from baggie.errors import BaggieError
 from baggie.geometry import apply_homography
 from baggie.types import Goal
-from baggie.vision.draw import check_goal, paint_goal, region_mask
+from baggie.vision.draw import check_goal, paint_goal, region_mask, without_card
 
 GREY = np.full((180, 320, 3), 90, np.uint8)
 SQUARE = np.array([[100.3, 60.2], [150.3, 64.2], [146.3, 114.2], [96.3, 110.2]])
@@ -87,3 +87,18 @@ def test_goal_outside_the_picture_is_one_clear_line(corners):
 
 def test_goal_in_the_very_corner_is_inside():
     check_goal(Goal(np.array([[-0.5, -0.5], [319.5, -0.5], [319.5, 179.5]])), (320, 180))
+
+
+def test_a_card_taken_out_leaves_the_table_and_touches_nothing_else():
+    rng = np.random.default_rng(0)
+    slope = np.linspace(90, 160, 120)[None, :, None] + np.linspace(0, 20, 80)[:, None, None]
+    table = np.clip(slope + rng.normal(0, 2, (80, 120, 3)), 0, 255).astype(np.uint8)
+    corners = np.array([[40.0, 30.0], [70.0, 26.0], [74.0, 52.0], [43.0, 55.0]])
+    with_card = paint_goal(table, Goal(corners, "solid", (20, 110, 40)))
+    taken_out = without_card(with_card, corners)
+    near = region_mask(corners, (120, 80)) > 0
+    assert np.abs(taken_out.astype(float) - table)[near].max() < 20  # the card is 100 away in red and blue
+    far = cv2.dilate(near.astype(np.uint8), np.ones((11, 11))) == 0
+    assert (taken_out == table)[far].all()
+    other = paint_goal(table, Goal(corners, "solid", (250, 240, 10)))
+    assert (without_card(other, corners) == taken_out).all()

@@ -197,3 +197,18 @@ def test_what_is_pointed_at_is_looked_for_as_far_as_its_middle_and_no_further_th
     assert np.linalg.norm(cell_of(*(BAG_SIDE_M / 2 * towards)) - [u, v]) < radius
     assert np.linalg.norm(cell_of(*(BAGS_M * towards)) - [u, v]) > radius
     assert anywhere > max(view.size)
+
+
+@pytest.mark.parametrize("kind", ["region", "painted"])
+def test_a_real_card_is_no_bag_to_a_network_that_never_saw_one(kind):
+    """Where goals are regions, a card's look makes no difference; where they are painted, it has to be seen."""
+    cut = np.full((96, 160, 3), 128, np.uint8)
+    corners = np.array([[60.0, 40.0], [80.0, 40.0], [80.0, 60.0], [60.0, 60.0]])
+    inputs = []
+    for color in ((30, 110, 50), (200, 40, 40)):
+        seen = cut.copy()
+        seen[40:61, 60:81] = color
+        inputs.append(GoalInput(kind).network_input(seen, Goal(corners, "card", color)))
+    assert (inputs[0] == inputs[1]).all() == (kind == "region")
+    if kind == "region":
+        assert (inputs[0] == GoalInput().network_input(cut, Goal(corners))).all()

@@ -16,7 +16,7 @@ from baggie.geometry import FloatArray, PlanarPose, apply_homography
 from baggie.policies.as_trained import as_trained
 from baggie.policies.view import View
 from baggie.types import DrawnStyle, Goal, Image, Observation, PickPlace, Plan
-from baggie.vision.draw import paint_goal, region_mask
+from baggie.vision.draw import paint_goal, region_mask, without_card
 
 Float32 = NDArray[np.float32]
 
@@ -77,11 +77,16 @@ class GoalInput:
         return 4 if self.kind == "region" else 3
 
     def network_input(self, cut: Image, goal: Goal) -> Image:
-        """A view `(H, W, 3)` and the goal in its pixels -> `(C, H, W)` uint8."""
+        """A view `(H, W, 3)` and the goal in its pixels -> `(C, H, W)` uint8.
+
+        A `region` is learned where nothing lies: a real card is taken out of the picture, or it might be picked.
+        """
         if self.kind == "painted":
             drawn = goal if goal.style == "card" else Goal(goal.corners, self.style, self.color)
             return np.ascontiguousarray(paint_goal(cut, drawn).transpose(2, 0, 1))
         height, width = cut.shape[:2]
+        if goal.style == "card":
+            cut = without_card(cut, goal.corners)
         return np.concatenate([cut.transpose(2, 0, 1), region_mask(goal.corners, (width, height))[None]])
 
     def config(self) -> dict[str, Any]:

@@ -18,6 +18,10 @@ _SHIFT = 4
 _FINER = 8
 """Shapes are drawn this many times enlarged."""
 
+_BESIDE_CARD_PX = 3
+"""A card's rim, its shadow, and by how much its corners are raised."""
+_INPAINT_PX = 3.0
+
 _PICTURE_TO_LINE = 160
 """An outline is 1/160 of the picture's width thick: 4 pixels at 640, 8 at 1280."""
 
@@ -60,6 +64,18 @@ def paint_goal(image: Image, goal: Goal) -> Image:
     blended = painted[touched] * (1 - share) + np.array(goal.color, np.float32) * share
     painted[touched] = blended.round().astype(np.uint8)
     return painted
+
+
+def without_card(image: Image, corners: FloatArray) -> Image:
+    """A copy of the picture `(H, W, 3)` with the table carried on where a card with these corners `(N, 2)` (u, v) lies.
+
+    The surroundings are continued inwards (Telea, 2004), from three pixels outside of the corners.
+    """
+    height, width = image.shape[:2]
+    there = (region_mask(corners, (width, height)) > 0).astype(np.uint8)
+    reach = 2 * _BESIDE_CARD_PX + 1
+    mask = cv2.dilate(there, np.ones((reach, reach), np.uint8))
+    return np.asarray(cv2.inpaint(image, mask, _INPAINT_PX, cv2.INPAINT_TELEA), np.uint8)
 
 
 def region_mask(corners: FloatArray, size: tuple[int, int]) -> Mask:
