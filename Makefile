@@ -41,6 +41,8 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: man
 	    $(BIN)/python benchmarks/published.py $$experiment || exit; done
 	for protocol in few published; do $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
 	$(BIN)/python benchmarks/pyramid_media.py
+	for benchmark in decision train_step transporter block_demonstrations rehearsal rehearsal_media; do \
+	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
 	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint

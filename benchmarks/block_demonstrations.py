@@ -4,7 +4,8 @@
 
 A demonstration is a fresh scene and as many picks and places of the scripted demonstrator as it takes, with the arm
 parked before each picture and a last one at the end. "Ravens" and "strict" count those that succeed by either score;
-the two seconds that the strict one waits are not timed. Processor time, so that a busy machine counts less.
+the two seconds that the strict one waits are not timed. Processor time, so that a busy machine counts less. Writes
+docs/results/block-demonstrations.{json,md}.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -28,6 +30,7 @@ from baggie.sim.kinematics import Kinematics
 from baggie.sim.tasks import TASKS
 from baggie.workcell import height_map_camera
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
+from commands import write_and_show
 from stopwatch import timed
 
 SEED = 0xB10C
@@ -43,18 +46,23 @@ def main() -> None:
     )
     number = parser.parse_args().demonstrations
     spent: defaultdict[str, float] = defaultdict(float)
-    print("| task | height maps | per second | median s | quartiles s | steps | Ravens | strict |", end=" ")
-    print(" | ".join(f"{part} s" for part in (*PARTS, "other")), "|")
-    print("|" + "---|" * (8 + len(PARTS) + 1))
+    rows = []
     with stopwatches(spent):
         for task in TASKS:
             for pictures in (False, True):
                 cell = open_block_workcell(task, pictures=pictures)
                 demonstrate(cell, number, pictures)  # the first warms up
                 spent.clear()
-                rows = [demonstrate(cell, seed, pictures) for seed in range(number)]
+                shown = [demonstrate(cell, seed, pictures) for seed in range(number)]
                 cell.close()
-                print_row(task, pictures, rows, spent)
+                rows.append(
+                    {"task": task, "height maps": "yes" if pictures else "no", **summed(shown, spent)}
+                )
+    notes = (
+        "One thread, processor time. A demonstration is a fresh scene and as many picks and places as it takes, with "
+        "height maps one before each step and one at the end. The last columns say where its seconds go."
+    )
+    write_and_show("block-demonstrations", "Demonstrations of the block tasks", rows, notes)
 
 
 def demonstrate(cell: BlockWorkcell, seed: int, pictures: bool) -> tuple[float, int, bool, bool]:
@@ -75,21 +83,21 @@ def demonstrate(cell: BlockWorkcell, seed: int, pictures: bool) -> tuple[float, 
         return seconds, steps, cell.score.done, cell.strict_success()
 
 
-def print_row(
-    task: str, pictures: bool, rows: list[tuple[float, int, bool, bool]], spent: dict[str, float]
-) -> None:
-    seconds, steps, ravens, strict = (np.array(column) for column in zip(*rows, strict=True))
-    parts = [spent.get(part, 0.0) / len(rows) for part in PARTS]
-    parts.append(float(seconds.mean()) - sum(parts))
+def summed(shown: list[tuple[float, int, bool, bool]], spent: dict[str, float]) -> dict[str, Any]:
+    """What many demonstrations say together."""
+    seconds, steps, ravens, strict = (np.array(column) for column in zip(*shown, strict=True))
+    parts = {part: spent.get(part, 0.0) / len(shown) for part in PARTS}
+    parts["other"] = float(seconds.mean()) - sum(parts.values())
     low, median, high = np.percentile(seconds, [25, 50, 75])
-    print(
-        f"| {task} | {'yes' if pictures else 'no'} | {1 / seconds.mean():.2f} | {median:.2f} | "
-        f"{low:.2f} to {high:.2f} | "
-        f"{steps.mean():.1f} | {ravens.sum()} of {len(rows)} | {strict.sum()} of {len(rows)} | "
-        + " | ".join(f"{part:.2f}" for part in parts)
-        + " |",
-        flush=True,
-    )
+    return {
+        "per second": round(1 / float(seconds.mean()), 2),
+        "median (s)": round(float(median), 2),
+        "quartiles (s)": f"{low:.2f} to {high:.2f}",
+        "steps": round(float(steps.mean()), 1),
+        "Ravens": f"{ravens.sum()} of {len(shown)}",
+        "strict": f"{strict.sum()} of {len(shown)}",
+        **{f"{part} (s)": round(each, 2) for part, each in parts.items()},
+    }
 
 
 @contextmanager

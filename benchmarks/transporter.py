@@ -4,7 +4,7 @@
 
 One map of 320 x 160 pixels, 36 rotations, a suction cup. A step is a batch of one made, forward, backward, Adam; a
 decision goes from an observation to a plan. Each preset runs in a process of its own, for its peak memory. Times are
-seconds of the processor's time, which a busy machine lengthens less than the clock's.
+those of the processor, which a busy machine lengthens less than the clock's. Writes docs/results/transporter.{json,md}.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import Preset
 from baggie.types import Observation
 from box_scenes import box_demonstrations
+from commands import spread_ms, write_and_show
 
 GRID = Grid()
 WARM_UP = 2
@@ -51,12 +52,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--paper-rounds", type=int, default=3)
     asked = parser.parse_args()
-    print("one map of 320 x 160, 36 rotations, one thread; seconds of processor time")
-    print(
-        f"{'preset':<8}{'parameters':>12}  {'what':<10}{'rounds':>7}{'median':>9}{'quartiles':>18}{'fastest':>9}"
-        f"{'slowest':>9}{'peak MB':>9}"
-    )
     rounds: dict[Preset, int] = {"fast": asked.rounds, "paper": asked.paper_rounds}
+    rows = []
     for preset, count in rounds.items():
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             times = pool.apply(measure, (preset, count))
@@ -64,12 +61,22 @@ def main() -> None:
             ("decision", times.decision_s, times.decide_mb),
             ("step", times.step_s, times.learn_mb),
         ):
-            low, median, high = np.percentile(seconds, (25, 50, 75))
-            print(
-                f"{preset:<8}{times.parameters:>12,}  {what:<10}{count:>7}{median:>9.3f}"
-                f"{f'{low:.3f} .. {high:.3f}':>18}{seconds.min():>9.3f}{seconds.max():>9.3f}{megabytes:>9.0f}",
-                flush=True,
+            rows.append(
+                {
+                    "preset": preset,
+                    "parameters": times.parameters,
+                    "what": what,
+                    "rounds": count,
+                    **spread_ms(1000 * seconds),
+                    "peak memory (MB)": round(megabytes),
+                }
             )
+    notes = (
+        "One map of 320 x 160 pixels, 36 rotations, a suction cup, one thread. A step is a batch of one made, forward, "
+        "backward, Adam; a decision goes from an observation to a plan. Processor time; peak memory of the process "
+        "beyond what it had when it began, for decisions before it first learned."
+    )
+    write_and_show("transporter", "Transporter Networks, ours beside the published sizes", rows, notes)
 
 
 def measure(preset: Preset, rounds: int) -> Times:
