@@ -91,12 +91,12 @@ class FrankaLink:
         self._robot = self._gripper = None
 
     def make_ready(self) -> None:
-        """Before a motion: recover from what the last one ended in, if the robot can by now.
+        """Before a motion: recover from what the last one ended in, if the robot can by now; one try.
 
         Raises the last one's `StuckError` while it cannot.
         """
         with self.speaking():
-            if self._unrecovered and not self._is_ready():
+            if self._unrecovered and not self._is_ready(tries=1):
                 raise self._held()
         self._unrecovered = ""
 
@@ -148,15 +148,15 @@ class FrankaLink:
             "it, release its stop button, move it free by hand in guiding mode; the next motion tries again"
         )
 
-    def _is_ready(self) -> bool:
+    def _is_ready(self, tries: int = RECOVERIES) -> bool:
         """Whether the robot is ready to move, after its automatic error recovery where it needs one."""
-        for _ in range(RECOVERIES):
+        for _ in range(tries):
             try:
-                if not self.robot.has_errors or self.robot.recover_from_errors():
-                    return self._is_idle()
+                if self.robot.has_errors:
+                    self.robot.recover_from_errors()  # what it returns may be late, as the mode is
+                return self._is_idle()
             except self._franky.CommandException:  # "manual error recovery required", or not yet possible
-                pass
-            time.sleep(RETRY_PAUSE_S)
+                time.sleep(RETRY_PAUSE_S)
         return False
 
     def _is_idle(self) -> bool:
