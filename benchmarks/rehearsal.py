@@ -116,7 +116,7 @@ def calibrate(file: Path, control: LabControl) -> str:
     control.lay_bag(_AWAY)
     marker = "--marker color:217,13,191 --marker-in-hand 0.09 0 0"
     plain, out = file.with_name(UNCALIBRATED), file.with_name(MAP)
-    found = answer(f"calibrate image-to-robot --workcell {plain} {marker} --out {out}")
+    found = answer(f"calibrate image-to-robot --workcell {plain} --prepared {marker} --out {out}")
     control.show_paddle(False)
     return f"{found['points']} points, {found['leave_one_out_mm']:.2f} mm left out"
 
@@ -147,9 +147,13 @@ def evaluate(file: Path, options: Options) -> str:
 
 
 def answer(command: str) -> Mapping[str, Any]:
-    """What a `baggie` command says as JSON, with Enter pressed when it asks for it; ends everything where it fails."""
+    """What a `baggie` command says as JSON; ends everything where it fails."""
     done = subprocess.run(
-        baggie(*shlex.split(command), "--json"), input="\n", stdout=subprocess.PIPE, text=True, check=False
+        baggie(*shlex.split(command), "--json"),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
     )
     if done.returncode:
         sys.exit(done.returncode)
