@@ -54,6 +54,7 @@ def test_intrinsics_are_the_makers_in_opencvs_order(camera: OpenCamera) -> None:
     np.testing.assert_allclose(seen.distortion, DISTORTION, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_over_begins_again(camera: OpenCamera) -> None:
     reds = [int(camera.look().color[0, 0, 0]) for _ in range(45)]
     assert (np.diff(reds) < 0).any()

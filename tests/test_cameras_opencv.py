@@ -109,9 +109,8 @@ def test_a_network_camera_that_hangs_or_repeats_itself_is_noticed_and_comes_back
     with pytest.raises(CameraError, match="no picture within 4 s"):
         network.look()
     server.repeat()
-    network.look()
     with pytest.raises(CameraError, match="has frozen"):
-        network.look()
+        [network.look() for _ in range(2)]  # the first may still see it change
     server.mode = "run"
     called = time.monotonic()
     assert server.made_at[number_in(network.look().color)] > called

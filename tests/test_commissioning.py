@@ -56,6 +56,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_simulated_cell_calibrates_itself_to_the_millimetre(calibrated: Path) -> None:
     cell = draw_cell(CELL)
     lens = CameraCalibration.load(calibrated / "camera.yaml").intrinsics
@@ -83,6 +84,7 @@ def open_workspace():
     return FakeCell().settings.workspace
 
 
+@pytest.mark.slow
 def test_pictures_beside_the_results_show_them(calibrated: Path) -> None:
     for name in (
         "camera.png",

@@ -14,6 +14,7 @@ from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
+from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
@@ -107,4 +108,4 @@ def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: sim\n")
     with pytest.raises(BaggieError, match="--cell N"):
-        evaluate(replace(options(tmp_path / "out"), workcell=file))
+        open_bench(replace(options(tmp_path / "out"), workcell=file))
