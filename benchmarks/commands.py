@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +14,14 @@ import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+
+ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
+
+
+def start(words: list[str], **options: Any) -> subprocess.Popen[str]:
+    """A `baggie` command as a process that does not outlive this one."""
+    return subprocess.Popen([*ENDS_WITH_US, sys.executable, "-m", "baggie", *words], text=True, **options)
 
 
 def run(command: str) -> None:

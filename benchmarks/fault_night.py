@@ -5,10 +5,7 @@ from __future__ import annotations
 import bisect
 import hashlib
 import json
-import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -26,6 +23,7 @@ from baggie.lab.control import LabControl
 from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.types import Attempt, Observation
 from baggie.workcell.workcell import WorkcellSettings
+from commands import start
 
 PERIOD_S = 0.2
 """Between two looks at the truth."""
@@ -41,12 +39,6 @@ STRAY_M = 0.01
 """So far the arm may overshoot its limits."""
 ATTEMPTS = 1000
 """More than any night has; it is ended by Ctrl-C."""
-ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
-
-
-def start(words: list[str], **options: Any) -> subprocess.Popen[str]:
-    """A `baggie` command as a process that does not outlive this one."""
-    return subprocess.Popen([*ENDS_WITH_US, sys.executable, "-m", "baggie", *words], text=True, **options)
 
 
 class Truth:

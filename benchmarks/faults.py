@@ -26,7 +26,8 @@ import tyro
 
 from baggie.evaluation.results import provenance, write_results
 from baggie.lab.control import LabControl
-from fault_night import Night, read_lines, start
+from commands import start
+from fault_night import Night, read_lines
 
 HOST, PORT = "127.0.0.77", 8177
 CAMERA_TIMEOUT_S = 12.0

@@ -25,7 +25,7 @@ from baggie.evaluation.results import provenance, write_json, write_results
 from baggie.geometry import PlanarPose
 from baggie.lab.control import LabControl
 from baggie.workcell.workcell_file import read_workcell_file
-from commands import rate
+from commands import rate, start
 
 UNCALIBRATED, MAP = "lab.yaml", "image-to-robot.yaml"
 """The workcell file before the first step, and what that makes."""
@@ -47,6 +47,8 @@ class Options:
     out: Path = Path("runs/rehearsal")
     results: Path = Path("docs/results/rehearsal")
     host: str = "127.0.3.1"
+    camera_port: int = 8193
+    """Always the same: a calibration is of the camera at one address, and the next start goes on with it."""
 
 
 def main(options: Options) -> None:
@@ -72,10 +74,9 @@ def main(options: Options) -> None:
 def lab(options: Options) -> Iterator[tuple[Path, LabControl]]:
     """A lab in a process of its own: its workcell file, which names the calibration to come, and its control."""
     file, printed = options.out / "cell.yaml", options.out / UNCALIBRATED
-    words = (
-        f"lab --cell {options.cell} --host {options.host} --camera-port 0 --pace 0 --out {printed}".split()
-    )
-    process = subprocess.Popen(baggie(*words), stdout=subprocess.PIPE, text=True)
+    address = f"--host {options.host} --camera-port {options.camera_port}"
+    words = f"lab --cell {options.cell} {address} --pace 0 --out {printed}"
+    process = start(words.split(), stdout=subprocess.PIPE)
     assert process.stdout is not None
     try:
         process.stdout.readline()  # it is up once it says so
@@ -140,21 +141,11 @@ def evaluate(file: Path, options: Options) -> str:
 
 def answer(command: str) -> Mapping[str, Any]:
     """What a `baggie` command says as JSON; ends everything where it fails."""
-    done = subprocess.run(
-        baggie(*shlex.split(command), "--json"),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        sys.exit(done.returncode)
-    return dict(json.loads(done.stdout))
-
-
-def baggie(*words: str) -> list[str]:
-    """A command line."""
-    return [sys.executable, "-m", "baggie", *words]
+    process = start([*shlex.split(command), "--json"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+    said, _ = process.communicate()
+    if process.returncode:
+        sys.exit(process.returncode)
+    return dict(json.loads(said))
 
 
 if __name__ == "__main__":

@@ -70,8 +70,7 @@ class PlanarPose:
     def outline(self, length: float, width: float) -> FloatArray:
         """`(4, 2)` metres: the corners of a rectangle centred here, its length along the pose's own x axis."""
         own = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return np.asarray(own @ np.array([[c, s], [-s, c]]) + self.xy)
+        return apply_homography(self.matrix(), own)
 
     def at_height(self, z: float) -> ToolPose:
         """The tool pointing straight down at this pose, its tip `z` metres above the table."""

@@ -41,7 +41,6 @@ class SeenCell:
 
         Raises `BaggieError` where no object is in sight, or it lies where no plan gets it back: that takes a person.
         """
-        self._cell.arm.park()
         bag, reach = self.truth(), self.settings.limits.workspace
         if not reach.contains(bag.x, bag.y):
             raise BaggieError(
