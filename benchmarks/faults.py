@@ -28,6 +28,7 @@ from baggie.evaluation.results import provenance, write_results
 from baggie.lab.control import LabControl
 from commands import start
 from fault_night import Night, read_lines
+from rehearsal import MAP, UNCALIBRATED, calibrate
 
 HOST, PORT = "127.0.0.77", 8177
 CAMERA_TIMEOUT_S = 12.0
@@ -109,7 +110,7 @@ def main(options: Options) -> None:
         signal.SIGINT, signal.default_int_handler
     )  # or what a shell starts with & would be deaf to Ctrl-C
     options.runs.mkdir(parents=True, exist_ok=True)
-    lab_file = options.runs / "lab.yaml"
+    lab_file = options.runs / UNCALIBRATED
     words = ["lab", "--host", HOST, "--camera-port", str(PORT), "--pace", "0", "--out", str(lab_file)]
     process = start(words, stdout=subprocess.PIPE)
     assert process.stdout is not None
@@ -138,15 +139,9 @@ def main(options: Options) -> None:
 
 def calibrated(runs: Path, lab_file: Path, lab: LabControl) -> Path:
     """A workcell file with the map from the picture to the robot, made once as docs/lab.md says."""
-    made, workcell = runs / "image-to-robot.yaml", runs / "cell.yaml"
+    made, workcell = runs / MAP, runs / "cell.yaml"
     if not made.exists():
-        lab.show_paddle(True)
-        words = (
-            f"--workcell {lab_file} --marker color:217,13,191 --marker-in-hand 0.09 0 0 --out {made}".split()
-        )
-        person = start(["calibrate", "image-to-robot", *words], stdin=subprocess.PIPE)
-        person.communicate(9 * "\n")
-        lab.show_paddle(False)
+        calibrate(workcell, lab)
     text = lab_file.read_text().replace("timeout_s: 20", f"timeout_s: {CAMERA_TIMEOUT_S:g}")
     workcell.write_text(f"{text}calibrations: {{image_to_robot: {made.name}}}\n")
     return workcell
