@@ -1,4 +1,4 @@
-"""Whole scenes turned and shifted on the table, with the labels carried along exactly."""
+"""Scenes turned and shifted on the table, or rearranged, with the labels carried along exactly."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.rearranged import Scene, Things, rearranged, turn_about
 from baggie.types import Image
 
 _TRIES = 100
@@ -50,8 +51,9 @@ class MovedMap(NamedTuple):
 class MovedMaps:
     """Demonstrations as N maps to draw samples from. A sample is a function of the generator alone."""
 
-    def __init__(self, demonstrations: Demonstrations, moves: Moves) -> None:
-        self._shown, self._moves = demonstrations, moves
+    def __init__(self, demonstrations: Demonstrations, moves: Moves, rearranged: float = 0.0) -> None:
+        """`rearranged`: the share of samples in which everything that stands alone is moved by itself."""
+        self._shown, self._moves, self._share = demonstrations, moves, rearranged
         poses = demonstrations.poses
         pixels = demonstrations.grid.to_pixels(poses[:, [0, 1, 3, 4]].reshape(-1, 2))
         self._places: FloatArray = pixels.reshape(-1, 2, 2)
@@ -65,9 +67,9 @@ class MovedMaps:
 
     def draw(self, rng: np.random.Generator, number: int) -> MovedMap:
         """Demonstration `number`, moved at random; as it is where no move that was tried keeps pick and place in."""
-        rows, columns = self._shown.grid.shape
-        move = random_move(rng, self._places[number], (columns, rows), self._moves)
-        moved = self.moved(number, move)
+        moved = self._rearranged(rng, number) if rng.random() < self._share else None
+        if moved is None:
+            moved = self.moved(number, self._random_move(rng, self._places[number]))
         if not self._moves.recolor:
             return moved
         gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
@@ -76,6 +78,25 @@ class MovedMaps:
         levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
         table = np.clip(levels, 0, 255).round().astype(np.uint8)
         return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
+
+    def _random_move(self, rng: np.random.Generator, places: FloatArray) -> FloatArray:
+        rows, columns = self._shown.grid.shape
+        return random_move(rng, places, (columns, rows), self._moves)
+
+    def _rearranged(self, rng: np.random.Generator, number: int) -> MovedMap | None:
+        """None where nothing stands alone, or no room was found."""
+        places = self._places[number]
+        scene = Scene(self._shown.colors[number], self._shown.heights[number], places)
+        things = Things.on(scene.height)
+        on_table = things.at(places) == 0
+        if on_table.all():
+            return None
+        found = rearranged(rng, scene, things, self._random_move(rng, places[on_table]))
+        if found is None:
+            return None
+        turns = np.arctan2(found.moves[:, 1, 0], found.moves[:, 0, 0])
+        there = [apply_homography(*each)[0] for each in zip(found.moves, places[:, None], strict=True)]
+        return MovedMap(found.color, found.height, np.stack(there), wrap_angle(self._yaws[number] + turns))
 
     def moved(self, number: int, move: FloatArray) -> MovedMap:
         """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels."""
@@ -107,11 +128,8 @@ def rigid_move(turn: float, shift: FloatArray, size: tuple[int, int]) -> FloatAr
     """A turn (radians, from u towards v) about the middle of a map of `(width, height)` pixels, then a shift `(2,)`
     (u, v) pixels: `(3, 3)`, pixels -> pixels, centres at integers.
     """
-    c, s = math.cos(turn), math.sin(turn)
     middle = (np.asarray(size) - 1) / 2
-    move = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    move[:2, 2] = middle + shift - move[:2, :2] @ middle
-    return move
+    return turn_about(middle, turn, middle + shift)
 
 
 def random_move(

@@ -132,7 +132,7 @@ def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
 
 def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> TransporterRecipe:
     painted = GoalInput("painted", options.goal_style, options.goal_color)
-    chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw)
+    chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw, rearranged=options.rearranged)
     symmetry, rectifier = options.symmetry, None
     if from_camera(attempts):
         rectifier = rectifier_for(attempts, options.data)
@@ -151,6 +151,7 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
         "steps": steps,
         "weights": options.weights,
         "new_looks": options.new_looks,
+        "rearranged": options.rearranged,
         "split": {
             "rule": rule,
             "train": [attempt.attempt_id for attempt in split.train],

@@ -29,6 +29,7 @@ from baggie.types import Attempt
 _RATE = {"fast": 1e-3, "paper": 1e-4}
 _BATCH = {"fast": 4, "paper": 1}
 _STEPS = {"fast": 3200, "paper": 10_000}
+_REARRANGED = {"fast": 0.5, "paper": 0.0}
 _WARM_UP = 0.03
 """Of the training of `fast`."""
 _BESIDE_PICK_PX = 1.0
@@ -47,7 +48,12 @@ class TransporterOptions:
     """Whether a gripper has to be turned to pick; so it is where it was in any demonstration."""
     batch: int | None = None
     """Maps a step; by default 4 for fast, 1 for paper, as published."""
+    rearranged: float | None = None
+    """The share of maps in which everything that stands alone is moved by itself; by default half for fast, none for
+    paper, as published.
+    """
     moves: Moves = field(default_factory=Moves)
+    """Of whole scenes."""
 
 
 class TransporterRecipe:
@@ -75,7 +81,8 @@ class TransporterRecipe:
         network = TransporterNet(config)
         shown = demonstrations
         self.policy = TransporterPolicy(network, shown.grid, shown.cell, shown.goal_input, rectifier)
-        self._maps = MovedMaps(demonstrations, options.moves)
+        share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
+        self._maps = MovedMaps(demonstrations, options.moves, share)
         self._symmetry = demonstrations.symmetry
         self._batch = options.batch or _BATCH[options.preset]
         self.steps = _STEPS[options.preset]
