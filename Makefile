@@ -15,8 +15,8 @@ demo: $(STAMP) gl ## from nothing to a robot moving bags, and a report: minutes 
 test: $(STAMP) gl ## the fast tests, under 5 minutes on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile # what tests of one file share is made once
 
-test-slow: $(STAMP) gl ## the tests that take minutes
-	$(BIN)/python -m pytest -m slow
+test-slow: $(STAMP) gl ## the tests that take minutes, and all laws on many examples
+	$(BIN)/python -m pytest -m "slow or hypothesis" --hypothesis-profile thorough
 
 lint: $(STAMP) ## format, lint, types
 	$(BIN)/ruff format --check .

@@ -15,7 +15,7 @@ from baggie.grid import Grid
 from baggie.workcell.block_workcell import open_block_workcell
 
 GRID = Grid()
-COUNT = 3
+COUNT = 2
 TASK = "place-red-in-green"
 
 

@@ -9,6 +9,7 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,9 +130,9 @@ def test_dying_at_any_step_loses_and_doubles_nothing(
     tmp_path: Path, before: tuple[int, ...], dying: int, next_one: int
 ) -> None:
     outcomes = []
+    append(tmp_path / "before", *before)
     for step in itertools.count(1):
-        root = tmp_path / str(step)
-        append(root, *before)
+        root = shutil.copytree(tmp_path / "before", tmp_path / str(step))
         child = multiprocessing.get_context("fork").Process(target=_die_at, args=(step, root, dying))
         child.start()
         child.join()
@@ -175,12 +176,12 @@ def _repair_dying_at(step: int, root: Path) -> None:
 def test_dying_in_a_repair_is_repaired(tmp_path: Path, died_at: int) -> None:
     """Of a writer that died going on with an episode."""
     fork = multiprocessing.get_context("fork")
+    append(tmp_path / "died", 3, 100, 101)
+    child = fork.Process(target=_die_at, args=(died_at, tmp_path / "died", 102))
+    child.start()
+    child.join()
     for step in itertools.count(1):
-        root = tmp_path / str(step)
-        append(root, 3, 100, 101)
-        child = fork.Process(target=_die_at, args=(died_at, root, 102))
-        child.start()
-        child.join()
+        root = shutil.copytree(tmp_path / "died", tmp_path / str(step))
         child = fork.Process(target=_repair_dying_at, args=(step, root))
         child.start()
         child.join()

@@ -185,7 +185,7 @@ def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tm
     program = (
         "import sys; from pathlib import Path; import test_evaluation_closed_loop as t; "
         "t.module.stream_in_processes = t.stream_here; "
-        "t.evaluate(t.options(Path(sys.argv[1])), t.open_deadly)"
+        "t.evaluate(t.options(Path(sys.argv[1]), episodes=3), t.open_deadly)"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
     command = [sys.executable, "-c", program, str(tmp_path / "killed")]
@@ -195,9 +195,9 @@ def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tm
     assert [line["episode"] for line in done] == [0, 1]
     with (tmp_path / "killed/episodes.jsonl").open("a") as log:
         log.write('{"episode": 2, "sta')  # it might have died while writing, too
-    evaluate(options(tmp_path / "killed", workers=2), open_perfect)
+    evaluate(options(tmp_path / "killed", episodes=3, workers=2), open_perfect)
     monkeypatch.setattr(module, "stream_in_processes", stream_here)
-    evaluate(options(tmp_path / "whole"), open_perfect)
+    evaluate(options(tmp_path / "whole", episodes=3), open_perfect)
     assert timeless(tmp_path / "killed") == timeless(tmp_path / "whole")
 
 
