@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from baggie.collect import CollectOptions, collect
+from baggie.collect import demonstrations as module
 from baggie.collect.demonstrations import demonstrate, missing_demonstrations
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.grid import Grid
 from baggie.workcell.block_workcell import open_block_workcell
+from streaming import stream_here
 
 GRID = Grid()
 COUNT = 2
@@ -50,7 +52,10 @@ def test_an_episode_is_shown_step_by_step_and_its_rewards_add_up(recorded: Path)
     assert numbers["success"].all()
 
 
-def test_a_recording_cut_short_goes_on_to_the_same_arrays(recorded: Path, tmp_path: Path) -> None:
+def test_a_recording_cut_short_goes_on_to_the_same_arrays(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
     whole = open_dataset(recorded)
     out = tmp_path / "again"
     # Some of the second demonstration is there, as a kill leaves it.

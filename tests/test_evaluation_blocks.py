@@ -28,7 +28,7 @@ from baggie.grid import Grid
 from baggie.policies import DemonstratorPolicy
 from baggie.sim.tasks import find_task
 from baggie.types import Observation, Outcome, PickPlace, Plan
-from test_evaluation_closed_loop import stream_here
+from streaming import stream_here
 from test_report import Page
 
 TASK = find_task("block-pyramid")

@@ -22,6 +22,7 @@ from baggie.geometry import PlanarPose
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Observation, Outcome
 from baggie.workcell.workcell import WorkcellSettings
+from streaming import stream_here
 from synthetic import WORKSPACE, box_corners
 
 SIZE = (320, 180)
@@ -122,13 +123,6 @@ def open_deadly(options):
     bench = open_perfect(options)
     bench.policy.die_at = 4  # the first episode takes two plans
     return bench
-
-
-def stream_here(open_worker, tasks, _workers):
-    """Spare the start of processes; how those behave is tested where they are made, and once below."""
-    run = open_worker()
-    for task in tasks:
-        yield from run(task)
 
 
 @pytest.fixture
