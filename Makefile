@@ -39,7 +39,8 @@ results: $(STAMP) gl ## measure everything that docs/results/ quotes, again: man
 	$(BIN)/python benchmarks/ablations.py
 	for experiment in curves virtual-goals printed-card color-mask report; do \
 	    $(BIN)/python benchmarks/published.py $$experiment || exit; done
-	for protocol in few published; do $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
+	for protocol in few "whole-scenes --counts 1 10" published; do \
+	    $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
 	$(BIN)/python benchmarks/pyramid_media.py
 	for benchmark in decision train_step transporter block_demonstrations rehearsal rehearsal_media; do \
 	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
