@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
-from baggie.learning.rearranged import Scene, Things, rearranged, turn_about
+from baggie.learning.rearranged import Scene, rearranged, turn_about
+from baggie.learning.things import Things
 from baggie.types import Image
 
 _TRIES = 100

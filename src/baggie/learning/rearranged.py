@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -16,18 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography
+from baggie.learning.things import Things, extent
 from baggie.types import Image
 
-_LOWEST_M = 0.004
-"""Above the table, where a thing begins: height maps are noisy by a millimetre."""
-_SMALLEST_PX = 12
-"""What covers fewer pixels is noise."""
-_AROUND_PX = 6.0
-"""So much of the table goes with a thing, because its shadow lies there."""
-_BELONGS_PX = 2.0
-"""A label this near to a thing is the thing's."""
 _WHOLE = 0.95
 """So much of a thing has to stay on the map."""
+_CROWDED = 0.3
+"""Of what is put down, the share that comes close to something."""
+_CLOSE = 0.6, 1.2
+"""From middle to middle, by how far both reach; corners are further out than sides."""
 _TRIES = 40
 _ROLLS = 8
 
@@ -54,49 +50,6 @@ class Rearranged(NamedTuple):
     """`(N, 3, 3)`: the rigid motion of what was at each place, pixels -> pixels."""
 
 
-@dataclass(frozen=True)
-class Things:
-    """What stands on a table, numbered from 1; 0 is the table."""
-
-    footprints: NDArray[np.int32]
-    """`(H, W)`: the thing that is here."""
-    surroundings: NDArray[np.int32]
-    """`(H, W)`: the thing that is here or near, its shadow with it."""
-    count: int
-
-    @classmethod
-    def on(cls, height: NDArray[np.float32]) -> Things:
-        """By what is higher than most of a height map `(H, W)` metres, and hangs together."""
-        high = height > np.median(height[::4, ::4]) + _LOWEST_M
-        _, parts, stats, _ = cv2.connectedComponentsWithStats(high.astype(np.uint8))
-        keep = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PX
-        keep[0] = False
-        footprints = (np.cumsum(keep) * keep).astype(np.int32)[parts]
-        if not keep.any():
-            return cls(footprints, footprints, 0)
-        distance, nearest = cv2.distanceTransformWithLabels(
-            (footprints == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_CCOMP
-        )
-        things = np.zeros(nearest.max() + 1, np.int32)  # OpenCV numbers them in its own way
-        things[nearest[footprints > 0]] = footprints[footprints > 0]
-        surroundings = np.where(distance <= _AROUND_PX, things[nearest], 0).astype(np.int32)
-        return cls(footprints, surroundings, int(keep.sum()))
-
-    def at(self, places: FloatArray) -> NDArray[np.int32]:
-        """Which thing is at places `(N, 2)` (u, v) pixels, or so near that it must be meant: `(N,)`."""
-        v, u = np.nonzero(self.footprints)
-        if len(v) == 0 or len(places) == 0:
-            return np.zeros(len(places), np.int32)
-        off = np.linalg.norm(places[:, None] - np.column_stack([u, v]), axis=2)
-        near = off.min(axis=1) <= _BELONGS_PX
-        return np.where(near, self.footprints[v, u][off.argmin(axis=1)], 0)
-
-    def mask(self, number: int) -> NDArray[np.uint8]:
-        """`(H, W)`: 2 where a thing is, 1 around it, else 0."""
-        around = (self.surroundings == number).astype(np.uint8)
-        return np.asarray(around + (self.footprints == number), np.uint8)
-
-
 def rearranged(
     rng: np.random.Generator, scene: Scene, things: Things, table_move: FloatArray
 ) -> Rearranged | None:
@@ -109,7 +62,7 @@ def rearranged(
     layers = np.dstack([scene.color, scene.height]).astype(np.float32)
     rows, columns = scene.height.shape
     table = _Table(_warped(_bare(rng, layers, things), table_move, (columns, rows)))
-    reach = max((_reach_px(things.mask(int(label))) for label in labels[labels > 0]), default=0)
+    reach = max((extent(things.mask(int(label)))[1] for label in labels[labels > 0]), default=0.0)
     for place in apply_homography(table_move, scene.places[labels == 0]):
         table.keep_free(place, reach)
     moves = {0: table_move}
@@ -123,33 +76,46 @@ def rearranged(
 
 
 class _Table:
-    """Things are put on it one by one, none on another or in its shadow."""
+    """Things are put on it one by one, none on another."""
 
     def __init__(self, layers: NDArray[np.float32]) -> None:
         self.layers = layers
-        self._taken = np.zeros(layers.shape[:2], np.uint8)
-        """As `Things.mask`."""
+        self._taken: NDArray[np.bool_] = np.zeros(layers.shape[:2], np.bool_)
+        self._put: list[tuple[FloatArray, float]] = []
+        """Where the middles are of what was put down, and how far it reaches: pixels."""
 
-    def keep_free(self, place: FloatArray, reach_px: int) -> None:
-        cv2.circle(self._taken, place.round().astype(int).tolist(), reach_px, 2, cv2.FILLED)
+    def keep_free(self, place: FloatArray, reach_px: float) -> None:
+        """Around a place `(2,)` (u, v) pixels."""
+        rows, columns = self._taken.shape
+        v, u = np.mgrid[:rows, :columns]
+        self._taken |= np.hypot(u - place[0], v - place[1]) <= reach_px
 
     def put(
         self, rng: np.random.Generator, layers: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> FloatArray | None:
         """Put down what is under the mask in the layers; how it came there, or None where no try fits."""
         rows, columns = mask.shape
-        middle = np.argwhere(mask == 2).mean(axis=0)[::-1]
+        middle, reach = extent(mask)
         for _ in range(_TRIES):
-            move = turn_about(middle, rng.uniform(-math.pi, math.pi), rng.uniform(0, (columns, rows)))
+            to = self._somewhere(rng, reach)
+            move = turn_about(middle, rng.uniform(-math.pi, math.pi), to)
             there = cv2.warpPerspective(mask, move, (columns, rows), flags=cv2.INTER_NEAREST)
             whole = np.count_nonzero(there == 2) >= _WHOLE * np.count_nonzero(mask == 2)
-            if (
-                whole and not (self._taken + there > 2).any()
-            ):  # 2 on 1: one of them stands in the other's shadow
+            if whole and not (self._taken & (there == 2)).any():
                 self._paste(layers, (mask > 0).astype(np.float32), move, cv2.boundingRect(there))
-                self._taken = np.maximum(self._taken, there)
+                self._taken |= cv2.dilate((there == 2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+                self._put.append((to, reach))
                 return move
         return None
+
+    def _somewhere(self, rng: np.random.Generator, reach_px: float) -> FloatArray:
+        """A place on the map; now and then close to something, because that is where networks err."""
+        rows, columns = self._taken.shape
+        if self._put and rng.random() < _CROWDED:
+            beside, its_reach = self._put[rng.integers(len(self._put))]
+            angle, gap = rng.uniform(-math.pi, math.pi), rng.uniform(*_CLOSE)
+            return beside + gap * (reach_px + its_reach) * np.array([math.cos(angle), math.sin(angle)])
+        return rng.uniform(0, (columns, rows))
 
     def _paste(
         self,
@@ -163,6 +129,8 @@ class _Table:
         to_box = np.array([[1.0, 0.0, -u], [0.0, 1.0, -v], [0.0, 0.0, 1.0]]) @ move
         moved = _warped(layers, to_box, (width, height))
         share = _warped(share, to_box, (width, height), cv2.BORDER_CONSTANT)
+        # Its shadow falls on the table, and not on what stands there.
+        share = np.where(self._taken[v : v + height, u : u + width], 0, share)
         part = self.layers[v : v + height, u : u + width]
         part += share[..., None] * (moved - part)
 
@@ -178,12 +146,6 @@ def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: Things)
         bare[take] = np.roll(layers, by, (0, 1))[take]
         missing &= ~take
     return bare
-
-
-def _reach_px(mask: NDArray[np.uint8]) -> int:
-    """How far a thing's rim is from its middle."""
-    pixels = np.argwhere(mask == 2)
-    return math.ceil(float(np.linalg.norm(pixels - pixels.mean(axis=0), axis=1).max()))
 
 
 def turn_about(middle: FloatArray, turn: float, to: FloatArray) -> FloatArray:
