@@ -1,6 +1,6 @@
-"""The moving picture of a pyramid being built, and where the policy pointed at each step, from an evaluation.
+"""A pyramid being built, where the policy pointed at each step, and what it learned from: pictures of one run.
 
-python benchmarks/pyramid_media.py --evaluation runs/pyramid/fast-10-0/evaluation
+python benchmarks/pyramid_media.py --run runs/pyramid/fast-1-0
 """
 
 from __future__ import annotations
@@ -13,31 +13,37 @@ import numpy as np
 import tyro
 from PIL import Image
 
+from baggie.data import open_dataset
 from baggie.evaluation.pictures import save_jpeg
+from baggie.learning.demonstrations import read_demonstrations
+from baggie.learning.moved_maps import MovedMaps, Moves
+from baggie.policies.checkpoint import read_config
 from baggie.types import Image as RgbImage
 
 _EVERY = 2
 """Of the film's frames."""
 _SIZE = (480, 360)
+_MADE = 5
+_RIM_PX = 12
 
 
 @dataclass(frozen=True)
 class Options:
     """What to show."""
 
-    evaluation: Path = Path("runs/pyramid/fast-10-0/evaluation")
-    """Of `baggie evaluate --task block-pyramid --film 1`."""
+    run: Path = Path("runs/pyramid/fast-1-0")
+    """Of `benchmarks/pyramid.py`: its evaluation was filmed."""
     episode: int = 0
     out: Path = Path("docs/media")
     """Where the pictures go."""
 
 
 def main(options: Options) -> None:
-    """Make both of one episode."""
-    episode = options.evaluation / "episodes" / f"episode-{options.episode:04d}"
+    """Make all three."""
+    save_jpeg(options.out / "pyramid-rearranged.jpg", learned_from(options.run))
+    episode = options.run / "evaluation" / "episodes" / f"episode-{options.episode:04d}"
     film = [Image.fromarray(frame) for frame in frames(episode.with_suffix(".mp4"))[::_EVERY]]
     small = [frame.resize(_SIZE, Image.Resampling.LANCZOS) for frame in film]
-    options.out.mkdir(parents=True, exist_ok=True)
     small[0].save(
         options.out / "pyramid.webp", save_all=True, append_images=small[1:], duration=100, loop=0, quality=60
     )
@@ -48,6 +54,16 @@ def main(options: Options) -> None:
     save_jpeg(
         options.out / "pyramid-steps.jpg", np.vstack([row for row in rows if row.shape == rows[0].shape])
     )
+
+
+def learned_from(run: Path) -> RgbImage:
+    """The first map of a recording, and what the learner made of it."""
+    recording = open_dataset(Path(read_config(run)["training"]["data"]))
+    maps = MovedMaps(read_demonstrations([recording[0]]), Moves(recolor=False), rearranged=1.0)
+    rng = np.random.default_rng(0)
+    made = [maps.draw(rng, 0).color for _ in range(_MADE)]
+    rim = np.full((recording[0].before.color.shape[0], _RIM_PX, 3), 255, np.uint8)
+    return np.hstack([recording[0].before.color, rim, *made])
 
 
 def frames(path: Path) -> list[RgbImage]:
