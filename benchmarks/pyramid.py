@@ -38,8 +38,8 @@ class Options:
     counts: tuple[int, ...] = tuple(TAKEN)
     """Of demonstrations, but with `published`; a table has those that were run."""
     episodes: int = 100
-    seed: int = 0
-    """Of the test scenes."""
+    seed: int = 5
+    """Of the test scenes: those of 0 and 1000 were looked at while this was built."""
 
 
 def main(options: Options) -> None:
