@@ -463,7 +463,9 @@ def test_without_enough_held_out_attempts_nothing_is_said(overfitted):
 
 
 def test_prefetching_keeps_the_order_and_passes_errors_on():
-    assert list(prefetched(lambda step: step * step, range(3, 20))) == [step * step for step in range(3, 20)]
+    for workers in (1, 3):
+        made = prefetched(lambda step: step * step, range(3, 20), workers)
+        assert list(made) == [step * step for step in range(3, 20)]
     assert list(prefetched(str, range(5, 5))) == []
     with pytest.raises(ZeroDivisionError):
         list(prefetched(lambda step: 1 // (step - 2), range(5)))

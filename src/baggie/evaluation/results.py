@@ -27,7 +27,7 @@ class Provenance(TypedDict):
     seeds: list[int]
     commit: str | None
     """None outside git; ends in `+` when files differed from the commit."""
-    machine: dict[str, str | int]
+    machine: dict[str, str | int | None]
     date: str
     """ISO 8601, UTC."""
     python: str
@@ -40,7 +40,12 @@ def provenance(seeds: Sequence[int] = ()) -> Provenance:
         "command": _command(),
         "seeds": list(seeds),
         "commit": _commit(),
-        "machine": {"cpu": _cpu_model(), "cores": os.cpu_count() or 1, "system": platform.system()},
+        "machine": {
+            "cpu": _cpu_model(),
+            "cores": os.cpu_count() or 1,
+            "gpu": _gpu_model(),
+            "system": platform.system(),
+        },
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
@@ -83,12 +88,13 @@ def _cell(value: object) -> str:
 def origin_lines(origin: Provenance) -> list[tuple[str, str]]:
     """What to print of it: names and values."""
     machine = origin["machine"]
+    parts = [machine["cpu"], f"{machine['cores']} cores", machine.get("gpu"), machine["system"]]
     packages = ", ".join(f"{name} {number}" for name, number in origin["packages"].items())
     return [
         ("command", origin["command"]),
         ("seeds", ", ".join(map(str, origin["seeds"])) or "none"),
         ("commit", origin["commit"] or "not in git"),
-        ("machine", f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}"),
+        ("machine", ", ".join(str(part) for part in parts if part)),
         ("date", origin["date"]),
         ("versions", f"Python {origin['python']}, {packages}"),
     ]
@@ -124,6 +130,12 @@ def _cpu_model() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
+
+
+def _gpu_model() -> str | None:
+    """Of the GPU that PyTorch computes on, in a program that uses it."""
+    torch = sys.modules.get("torch")
+    return torch.cuda.get_device_name() if torch is not None and torch.cuda.is_available() else None
 
 
 def _version(package: str) -> str | None:

@@ -16,9 +16,10 @@ import torch
 T = TypeVar("T")
 
 
-def prefetched(make: Callable[[int], T], steps: range, ahead: int = 4) -> Iterator[T]:
-    """`make(step)` for each step in order, made in a thread of its own up to `ahead` steps early."""
-    with ThreadPoolExecutor(1, "prefetch") as pool:
+def prefetched(make: Callable[[int], T], steps: range, workers: int = 1, ahead: int = 4) -> Iterator[T]:
+    """`make(step)` for each step in order, made in threads of their own up to `ahead` steps early for each."""
+    ahead *= workers
+    with ThreadPoolExecutor(workers, "prefetch") as pool:
         coming = deque(pool.submit(make, step) for step in steps[:ahead])
         try:
             for step in steps:

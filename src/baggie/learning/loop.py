@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -63,6 +64,8 @@ class Training:
         self._state.load(folder)
         self._model, self._optimizer = accelerator.prepare(network, optimizer)
         self._save_now = Every(save_every_s)
+        # A GPU takes batches faster than one core makes them; where a CPU learns, making them takes cores away from it.
+        self._makers = 1 if accelerator.device.type == "cpu" else max(1, (os.cpu_count() or 1) // 2)
 
     @property
     def policy(self) -> LearnedPolicy:
@@ -86,7 +89,7 @@ class Training:
         ):
             bar = progress.add_task(self.policy.name, total=self.steps, completed=state.step, loss="")
             began = time.monotonic() - state.seconds
-            for batch in prefetched(self._batch, range(state.step, self.steps)):
+            for batch in prefetched(self._batch, range(state.step, self.steps), self._makers):
                 loss, parts = self._step(batch)
                 state.seconds = time.monotonic() - began
                 if not self._accelerator.is_main_process:
