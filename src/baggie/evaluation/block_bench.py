@@ -72,6 +72,6 @@ def open_block_bench(options: EvaluateOptions) -> BlockBench:
     from baggie.workcell.block_workcell import open_block_workcell  # noqa: PLC0415
 
     oracle = options.policy == OraclePolicy.name
-    policy = None if oracle else open_policy(options.policy, None)
+    policy = None if oracle else open_policy(options.policy, None, options.device)
     cell = open_block_workcell(options.task, options.cell)
     return BlockBench(cell, policy or DemonstratorPolicy(cell.demonstrate))

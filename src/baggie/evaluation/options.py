@@ -58,6 +58,8 @@ class EvaluateOptions:
     """bag-place: a bag this near the middle of its goal is a success."""
     retries: int = 2
     """bag-place: how often to look again when the gripper noticed that it missed. With blocks that takes a step."""
+    device: Literal["cpu", "cuda", "mps"] = "cpu"
+    """Where the policy computes."""
     workers: int | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
     film: int = 2

@@ -29,7 +29,7 @@ def open_bench(options: EvaluateOptions) -> Bench:
         if options.policy == ColorMaskPolicy.name and options.calibration is None:
             policy = ColorMaskPolicy(cell.image_to_robot, cell.settings.object_color)
         else:
-            policy = open_policy(options.policy, options.calibration)
+            policy = open_policy(options.policy, options.calibration, options.device)
     except BaggieError:
         opened.close()
         raise

@@ -45,7 +45,7 @@ def open_bench(options: EvaluateOptions) -> Bench:
             to_robot,
         )
         return bench
-    policy = open_policy(options.policy, options.calibration or options.out)
+    policy = open_policy(options.policy, options.calibration or options.out, options.device)
     if isinstance(policy, ColorMaskPolicy):
         policy = ColorOfTheBag(policy, cell)
     return Bench(cell, policy, to_robot)

@@ -14,15 +14,17 @@ NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
 
 
-def open_policy(policy: str, calibration: Path | None) -> Policy:
+def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> Policy:
     """The policy of a run's folder or a Hub id, or `color-mask` with the calibration of a recording.
+
+    `device`: where a learned one computes, in PyTorch's words.
 
     Raises `BaggieError` when there is none.
     """
     if policy == OraclePolicy.name:
         raise BaggieError("the oracle reads the simulator's truth: it can only be evaluated in a cell")
     if policy != ColorMaskPolicy.name:
-        return load_policy(policy)
+        return load_policy(policy, device)
     if calibration is None:
         raise BaggieError("color-mask needs a calibration: give --calibration a recording of the cell")
     inside = calibration / CALIBRATION_FOLDER

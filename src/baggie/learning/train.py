@@ -17,7 +17,7 @@ from rich.console import Console
 from baggie.data import Dataset, open_dataset
 from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
-from baggie.errors import BaggieError, DataError
+from baggie.errors import DataError
 from baggie.evaluation.results import provenance
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.episodes import RULE as EPISODES_RULE
@@ -34,7 +34,7 @@ from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import checkpoint
 from baggie.policies.keypoint_plan import GoalInput
-from baggie.policies.learned import LearnedPolicy
+from baggie.policies.learned import LearnedPolicy, check_device
 from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.types import Attempt
 from baggie.workcell.watch import REFERENCE_FILE
@@ -111,9 +111,7 @@ def _compared(options: TrainOptions, recorded: Sequence[Attempt]) -> int:
 
 
 def _accelerator(device: str) -> Accelerator:
-    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if not there.get(device, True):
-        raise BaggieError(f"device {device} was asked for, but PyTorch finds none here: take --device auto")
+    check_device(device)
     return Accelerator(cpu=device == "cpu")
 
 

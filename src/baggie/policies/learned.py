@@ -12,7 +12,7 @@ import huggingface_hub
 import torch
 from torch import nn
 
-from baggie.errors import DataError
+from baggie.errors import BaggieError, DataError
 from baggie.policies import checkpoint, weights
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, Plan
@@ -85,8 +85,10 @@ class LearnedPolicy(Policy):
     def from_pretrained(cls, source: Path | str, device: str = "cpu") -> Self:
         """Load from a folder or a Hub id.
 
-        Raises `DataError` when a file is missing, damaged, or of another policy.
+        Raises `DataError` when a file is missing, damaged, or of another policy, and `BaggieError` where there is no
+        such device.
         """
+        check_device(device)
         folder = checkpoint.fetch(source)
         config = checkpoint.read_config(folder)
         if config["policy"] != cls.name:
@@ -118,3 +120,10 @@ class LearnedPolicy(Policy):
     def _card(self, repo_id: str) -> str:
         width, height = self.picture_size
         return _CARD.format(name=self.name, cell=self.cell, width=width, height=height, repo=repo_id)
+
+
+def check_device(device: str) -> None:
+    """Raise `BaggieError` where PyTorch finds no such device here; other words than its own are for it to judge."""
+    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if not there.get(device, True):
+        raise BaggieError(f"device {device} was asked for, but PyTorch finds none here: take --device cpu")
