@@ -87,12 +87,13 @@ class MovedMaps:
     def _rearranged(self, rng: np.random.Generator, number: int) -> MovedMap | None:
         """None where nothing stands alone, or no room was found."""
         places = self._places[number]
-        scene = Scene(self._shown.colors[number], self._shown.heights[number], places)
-        things = Things.on(scene.height)
-        on_table = things.at(places) == 0
-        if on_table.all():
+        height = self._shown.heights[number]
+        things = Things.on(height)
+        at = things.at(places)
+        if not at.any():
             return None
-        found = rearranged(rng, scene, things, self._random_move(rng, places[on_table]))
+        scene = Scene(self._shown.colors[number], height, places, at)
+        found = rearranged(rng, scene, things, self._random_move(rng, places[at == 0]))
         if found is None:
             return None
         turns = np.arctan2(found.moves[:, 1, 0], found.moves[:, 0, 0])

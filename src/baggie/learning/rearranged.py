@@ -37,6 +37,8 @@ class Scene(NamedTuple):
     """`(H, W)` metres."""
     places: FloatArray
     """`(N, 2)`: (u, v) pixels."""
+    at: NDArray[np.int32]
+    """`(N,)`: the thing at each place, as `Things.at` says; 0 is the table."""
 
 
 class Rearranged(NamedTuple):
@@ -58,12 +60,11 @@ def rearranged(
     `things`: those of the scene. The table itself, and places on it, move by `table_move` `(3, 3)`; nothing is put down
     where a place on the table is.
     """
-    labels = things.at(scene.places)
     layers = np.dstack([scene.color, scene.height]).astype(np.float32)
     rows, columns = scene.height.shape
     table = _Table(_warped(_bare(rng, layers, things), table_move, (columns, rows)))
-    reach = max((extent(things.mask(int(label)))[1] for label in labels[labels > 0]), default=0.0)
-    for place in apply_homography(table_move, scene.places[labels == 0]):
+    reach = max((extent(things.mask(int(thing)))[1] for thing in scene.at[scene.at > 0]), default=0.0)
+    for place in apply_homography(table_move, scene.places[scene.at == 0]):
         table.keep_free(place, reach)
     moves = {0: table_move}
     for number in rng.permutation(things.count) + 1:
@@ -72,7 +73,7 @@ def rearranged(
             return None
         moves[int(number)] = move
     color, height = np.asarray(table.layers[..., :3].round(), np.uint8), table.layers[..., 3]
-    return Rearranged(color, height, np.stack([moves[int(label)] for label in labels]))
+    return Rearranged(color, height, np.stack([moves[int(thing)] for thing in scene.at]))
 
 
 class _Table:
