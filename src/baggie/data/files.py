@@ -124,10 +124,6 @@ def read_json(path: Path) -> Any:
         raise DataError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
 def check_complete(paths: Iterable[Path]) -> None:
     """Raise DataError for the first parquet file that is missing or cut off; costs microseconds a file."""
     for path in paths:
@@ -153,3 +149,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
         raise broken(path, "is missing") from None
     except (pa.ArrowException, OSError) as error:
         raise broken(path, f"is cut off or damaged ({_first_line(error)})") from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -59,7 +59,7 @@ class EvaluateOptions:
     retries: int = 2
     """bag-place: how often to look again when the gripper noticed that it missed. With blocks that takes a step."""
     device: Literal["cpu", "cuda", "mps"] = "cpu"
-    """Where the policy computes."""
+    """Where a policy that was trained computes."""
     workers: int | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
     film: int = 2

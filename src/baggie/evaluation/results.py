@@ -133,7 +133,7 @@ def _cpu_model() -> str:
 
 
 def _gpu_model() -> str | None:
-    """Of the GPU that PyTorch computes on, in a program that uses it."""
+    """The GPU that PyTorch finds here, in a program that has loaded it: results without it do not wait for that."""
     torch = sys.modules.get("torch")
     return torch.cuda.get_device_name() if torch is not None and torch.cuda.is_available() else None
 

@@ -17,9 +17,7 @@ NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> Policy:
     """The policy of a run's folder or a Hub id, or `color-mask` with the calibration of a recording.
 
-    `device`: where a learned one computes, in PyTorch's words.
-
-    Raises `BaggieError` when there is none.
+    `device`: where a learned one computes, in PyTorch's words. Raises `BaggieError` when there is none.
     """
     if policy == OraclePolicy.name:
         raise BaggieError("the oracle reads the simulator's truth: it can only be evaluated in a cell")

@@ -124,6 +124,7 @@ class LearnedPolicy(Policy):
 
 def check_device(device: str) -> None:
     """Raise `BaggieError` where PyTorch finds no such device here; other words than its own are for it to judge."""
-    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if not there.get(device, True):
+    without_cuda = device == "cuda" and not torch.cuda.is_available()
+    without_mps = device == "mps" and not torch.backends.mps.is_available()
+    if without_cuda or without_mps:
         raise BaggieError(f"device {device} was asked for, but PyTorch finds none here: take --device cpu")
