@@ -28,7 +28,7 @@ _FREEDOM = 20.0
 _EXACT = 1e-9
 """Radians and metres: rounding, below which noise is not estimated."""
 _ROUNDS = 12
-_SETTLED = 0.01
+_SETTLED = 0.001
 """Of a standard deviation: smaller steps change nothing that matters."""
 
 Pair = tuple[FloatArray, FloatArray]
