@@ -1,6 +1,6 @@
 """The pages of the documentation, taken apart: blocks of commands, programs and files in their order, and prose.
 
-What is indented by four spaces, or fenced as `sh`, is commands; `python` is a program; `yaml` a workcell file, or a part
+What is indented by four spaces, or fenced as `sh`, is commands; `python` is a program; `yaml` a workcell file or a part
 of one, whose first line may say of which name; `json` and `text` are only shown. A line `<!-- not run: REASON -->`
 before a block says that it cannot be run here.
 """

@@ -28,7 +28,9 @@ def words(command: str) -> set[str]:
 
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_the_command_names_what_the_extra_asks_for_and_this_python(extra: str) -> None:
-    assert words(install_extra(extra)) == words(shlex.join([sys.executable, "-m", "pip", "install", *EXTRAS[extra]]))
+    assert words(install_extra(extra)) == words(
+        shlex.join([sys.executable, "-m", "pip", "install", *EXTRAS[extra]])
+    )
 
 
 def test_the_command_does_what_it_says() -> None:
@@ -43,7 +45,9 @@ def test_the_command_does_what_it_says() -> None:
         assert "Would install" not in done.stdout
 
 
-def test_source_that_is_not_installed_is_installed_from_where_it_lies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_source_that_is_not_installed_is_installed_from_where_it_lies(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def nowhere(name: str) -> list[str]:
         raise importlib.metadata.PackageNotFoundError(name)
 
@@ -52,7 +56,9 @@ def test_source_that_is_not_installed_is_installed_from_where_it_lies(monkeypatc
 
 
 @pytest.mark.parametrize("kind", ["realsense", "orbbec", "k4a"])
-def test_a_camera_without_its_package_says_how_to_install_it(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_without_its_package_says_how_to_install_it(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for package in ("pyrealsense2", "pyorbbecsdk", "pyk4a"):
         monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(CameraError) as refused:
@@ -68,4 +74,6 @@ def test_pages_install_what_can_be_installed() -> None:
         assert not re.search(r"pip install [^`\n]*['\" ]baggie\b", text), page.name
         for name, bounds in re.findall(r"['\"]([\w-]+)([<>]=?[\d.,<>=]+)['\"]", text):
             known = [package for package in wanted if package.startswith(name)]
-            assert not known or ",".join(sorted(re.split(",|(?=[<>])", name + bounds))) in known, f"{page.name}: {name}"
+            assert not known or ",".join(sorted(re.split(",|(?=[<>])", name + bounds))) in known, (
+                f"{page.name}: {name}"
+            )
