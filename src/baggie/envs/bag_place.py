@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from baggie.collect.places import random_place
 from baggie.envs.step import ObservationDict, action_space, execute
-from baggie.geometry import PlanarPose
 from baggie.types import Goal
 
 if TYPE_CHECKING:
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 PICTURE_SIZE = (640, 360)
 SUCCESS_RADIUS_M = 0.02
-MIN_CARRY_M = 0.20
+GOAL_MARGIN_M = 0.02
+"""Between a goal and the workspace's edge."""
 
 
 class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
@@ -56,11 +57,7 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
         bag = self._workcell.truth()
-        while True:
-            x, y = self._workcell.settings.workspace.sample(self.np_random, margin=0.02)
-            self._goal = PlanarPose(float(x), float(y))
-            if bag.distance(self._goal) >= MIN_CARRY_M:
-                break
+        self._goal = random_place(self._workcell.settings.workspace, bag, self.np_random, GOAL_MARGIN_M)
         return self._observe(), {"distance_m": bag.distance(self._goal)}
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
