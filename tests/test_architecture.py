@@ -7,7 +7,7 @@ import baggie
 
 ROOT = Path(baggie.__file__).parent
 FLOORS = [
-    {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress"},
+    {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress", "terminal"},
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
     {"collect", "commissioning", "lab", "learning", "evaluation"},
