@@ -62,8 +62,15 @@ def gather(folders: Sequence[Path]) -> Results:
         return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
 
     def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
-        """Each under its conditions: a policy is as many rows as there are tests it was put to."""
-        return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        """Each under its conditions: a policy is as many rows as there are tests it was put to. Its first workcell, a
+        simulated one where there is one, goes without saying.
+        """
+        items = [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        items = sorted(items, key=lambda i: i.workcell is not None)
+        first = {i.policy: i.place for i in reversed(items)}
+        return [
+            replace(i, policy=f"{i.policy}, {i.place}") if i.place != first[i.policy] else i for i in items
+        ]
 
     bags = named(evaluations)
     tests = Counter(item.policy for item in [*bags, *named(blocks)])
