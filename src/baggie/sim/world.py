@@ -151,6 +151,7 @@ class World(ArmWorld):
         Turned about the base frame's origin and then shifted: what was at `pose` is at `motion @ pose`.
         """
         bump_table(self.model, self.data, motion, [bag for bag in (self._bag, self._second) if bag])
+        self.update_fixed()
 
     def _print(
         self, name: str, target: Target, scale: float, size_m: tuple[float, float], shape: tuple[int, int]
