@@ -25,7 +25,7 @@ class Numbers:
     episodes: int
 
 
-SHORT = Numbers(attempts=8, train=5, val=2, steps=30, episodes=1)
+SHORT = Numbers(attempts=9, train=6, val=3, steps=60, episodes=1)
 NIGHT = Numbers(attempts=40, train=26, val=8, steps=300, episodes=2)
 
 

@@ -42,6 +42,7 @@ class RobotToWorldOptions(LiveOptions):
 
 def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
     """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+    camera = None if options.camera_to_world is None else CameraToWorld.load(options.camera_to_world)
     if options.from_ is not None:
         result = _fit(read_views_file(options.from_)["views"], options)
     else:
@@ -49,8 +50,8 @@ def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
             result = calibrate_robot_to_world_live(bench, options)
     result.save(options.out)
     summary: dict[str, Any] = {"calibration": str(options.out), **result.summary()}
-    if options.camera_to_world is not None:
-        composed = compose(CameraToWorld.load(options.camera_to_world), result)
+    if camera is not None:
+        composed = compose(camera, result)
         path = options.out.with_name("camera-to-robot.yaml")
         composed.save(path)
         summary["next"] = (

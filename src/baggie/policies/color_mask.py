@@ -73,7 +73,11 @@ class ColorMaskPolicy(Policy):
             if config["policy"] != cls.name:
                 raise ValueError(f"policy {config['policy']}")
             red, green, blue = (int(value) for value in config["object_color"])
-        except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        except OSError as error:
+            raise DataError(
+                f"no {cls.name} policy at {path} ({error.strerror}); give the folder of a recording of this cell"
+            ) from None
+        except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
             raise DataError(
                 f"expected a {cls.name} policy in {path}, got {error!r}; give its folder"
             ) from error
