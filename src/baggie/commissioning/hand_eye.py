@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,7 @@ from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, sho
 from baggie.commissioning.printed import HAND_BOARD
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, ReachError
+from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
 from baggie.seeds import first_fit
 from baggie.vision.targets import parse_target
@@ -59,8 +61,12 @@ def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:
     result = solve_hand_eye(read_views(folder), keep_all=options.keep_all)
     result.save(options.out)
     picture = options.out.with_suffix(".png")
-    draw_views(result, picture)
-    summary: dict[str, Any] = {"calibration": str(options.out), "picture": str(picture), **result.summary()}
+    drawn = write_if_possible(picture, partial(draw_views, result))
+    summary: dict[str, Any] = {
+        "calibration": str(options.out),
+        **({"picture": str(picture)} if drawn else {}),
+        **result.summary(),
+    }
     if result.mount == "fixed" and result.camera is not None:
         summary["camera_to_robot"] = _camera_to_robot(result.camera, result, options.out)
     summary["next"] = (
