@@ -7,7 +7,18 @@ import baggie
 
 ROOT = Path(baggie.__file__).parent
 FLOORS = [
-    {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress"},
+    {
+        "errors",
+        "extras",
+        "files",
+        "geometry",
+        "grid",
+        "processes",
+        "progress",
+        "seeds",
+        "terminal",
+        "types",
+    },
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
     {"collect", "commissioning", "lab", "learning", "evaluation"},

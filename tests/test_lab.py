@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -106,6 +107,20 @@ def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabC
     assert outcome.success
     assert outcome.grasp_width_m > cell.settings.handling.empty_width_m
     assert control.bag_pose().distance(place) < 0.03
+
+
+@pytest.mark.slow
+def test_a_bag_is_laid_with_the_dents_of_a_grasp_or_as_new(cell: Workcell, control: LabControl) -> None:
+    def area(*, undented: bool) -> float:
+        control.lay_bag(HERE, undented=undented)
+        found = find_bag(cell.look().color, cell.settings.object_color)
+        assert found is not None
+        return float(cv2.contourArea(found.corners.astype(np.float32)))
+
+    new = area(undented=True)
+    assert cell.execute(PickPlace(HERE, HERE)).success
+    assert area(undented=False) > 1.05 * new
+    assert area(undented=True) == pytest.approx(new, rel=0.02)
 
 
 def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell, control: LabControl) -> None:

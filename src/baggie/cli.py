@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +21,7 @@ from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
 from baggie.data.ravens_convert import ImportOptions
 from baggie.data.ravens_convert import import_ravens as run_import_ravens
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, BaggieWarning, WriteError
 from baggie.evaluation.closed_loop import EvaluateOptions
 from baggie.evaluation.closed_loop import evaluate as run_evaluate
 from baggie.evaluation.report import ReportOptions
@@ -34,6 +35,7 @@ from baggie.policies.export import ExportOptions
 from baggie.policies.export import export as run_export
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
+_FORMAT_WARNING = warnings.formatwarning
 
 
 def collect(options: CollectOptions, json: bool = False) -> None:
@@ -57,14 +59,23 @@ def inspect(
 
     Args:
         data: The recording's folder.
-        sheet: Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given.
+        sheet: Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that
+            can be written.
         columns: Attempts in a row of the contact sheet.
         json: Print the summary as one JSON object.
     """
     summary = inspect_dataset(data)
+    trouble = None
     if summary["attempts"]:
-        summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
+        try:
+            summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
+        except WriteError as error:
+            trouble = error
     show(summary, json)
+    if trouble is not None and sheet is not None:
+        raise trouble
+    if trouble is not None:  # nobody asked for it: the recording is a colleague's perhaps, or the disk full
+        warnings.warn(f"{trouble}; or give --sheet another place", BaggieWarning, stacklevel=1)
 
 
 def import_ravens(folder: tyro.conf.Positional[Path], options: ImportOptions, json: bool = False) -> None:
@@ -211,6 +222,20 @@ VERBS: dict[str, Callable[..., None]] = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a verb; the exit status: 0 done, 1 it could not be done, 2 wrong usage (by tyro), 130 interrupted."""
+    warnings.formatwarning = _format_warning
+    return _run(arguments)
+
+
+def _format_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """One line for what users should know; Python's own form for what developers should."""
+    if issubclass(category, BaggieWarning):
+        return f"warning: {' '.join(str(message).split())}\n"
+    return _FORMAT_WARNING(message, category, filename, lineno, line)
+
+
+def _run(arguments: list[str] | None) -> int:
     try:
         tyro.extras.subcommand_cli_from_dict(
             VERBS,

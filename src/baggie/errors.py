@@ -29,6 +29,10 @@ class DataError(BaggieError):
     """A file of a recording or a checkpoint is missing, cut off, or of another kind than asked for."""
 
 
+class WriteError(DataError):
+    """A file cannot be written: the disk is full, or it may only be read."""
+
+
 class CalibrationError(BaggieError):
     """A calibration that cannot be trusted, or is of another camera; nothing was saved or used."""
 
@@ -39,3 +43,7 @@ class BumpedError(BaggieError):
 
 class UnsureError(BaggieError):
     """A plan is less sure than the workcell asks for; nothing has moved, and a person is asked."""
+
+
+class BaggieWarning(UserWarning):
+    """Something a user should know that stops nothing; the message is one line fit for `warning: ...` on a terminal."""

@@ -8,7 +8,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
@@ -155,9 +155,15 @@ class PickPlace:
         return np.array([a.x, a.y, a.yaw, b.x, b.y, b.yaw])
 
     @classmethod
-    def from_array(cls, values: FloatArray) -> PickPlace:
-        """The inverse of `to_array`."""
-        px, py, pt, qx, qy, qt = (float(value) for value in values)
+    def from_array(cls, values: ArrayLike) -> PickPlace:
+        """The inverse of `to_array`. Raises `BaggieError` for anything but six numbers."""
+        try:
+            px, py, pt, qx, qy, qt = (float(value) for value in np.asarray(values, float))
+        except (TypeError, ValueError):
+            raise BaggieError(
+                "expected an action of six numbers, pick x, y, yaw and place x, y, yaw, got "
+                f"{' '.join(str(values).split())}; give metres and radians"
+            ) from None
         return cls(PlanarPose(px, py, pt), PlanarPose(qx, qy, qt))
 
 

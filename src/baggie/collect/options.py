@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,8 @@ class CollectOptions:
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
     workers: int | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
+    wait: float = 0.0
+    """On a real arm: how many minutes to wait for help where nobody is at the terminal to be asked for it."""
 
     def check(self) -> None:
         """Raise `BaggieError` for what cannot be collected."""
@@ -49,6 +52,8 @@ class CollectOptions:
         for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
             if getattr(self, name) < least:
                 raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
+        if not 0 <= self.wait < math.inf:
+            raise BaggieError(f"expected --wait of at least 0 minutes, got {self.wait:g}")
         known = get_args(CollectedScenery)
         if self.scenery not in known:
             raise BaggieError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
@@ -82,4 +87,5 @@ class CollectOptions:
         words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
         words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
+        words += [] if self.wait == 0 else ["--wait", f"{self.wait:g}"]
         return shlex.join(words)

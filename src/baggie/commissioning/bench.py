@@ -17,6 +17,7 @@ from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.commissioning.assistant import Assistant, PersonAtTerminal
 from baggie.errors import BaggieError
+from baggie.files import write_if_possible
 from baggie.types import Image, Observation
 from baggie.vision.picture_files import write_picture
 from baggie.vision.targets import Seen
@@ -132,4 +133,4 @@ def show_live(folder: Path, picture: Image, seen: Seen | None, words: str) -> No
         1,
         cv2.LINE_AA,
     )
-    write_picture(folder.with_name(folder.name + ".live.jpg"), canvas)
+    write_if_possible(folder.with_name(folder.name + ".live.jpg"), lambda path: write_picture(path, canvas))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from baggie.commissioning.image_to_robot import MARGIN_M
 from baggie.commissioning.points import marker_finder, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER, TABLE_MARKER
 from baggie.errors import BaggieError, CalibrationError
+from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Marker, parse_target
@@ -172,5 +174,6 @@ def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, A
         other = ImageToRobot.load(against)
     comparison = compare(image_to_robot, other)
     picture = options.map.with_name(f"{options.map.stem}-against-{against.stem}.png")
-    draw_comparison(comparison, picture)
-    return {"map": str(options.map), "against": str(against), "picture": str(picture), **comparison.summary()}
+    drawn = write_if_possible(picture, partial(draw_comparison, comparison))
+    found = {"map": str(options.map), "against": str(against), **comparison.summary()}
+    return {**found, "picture": str(picture)} if drawn else found

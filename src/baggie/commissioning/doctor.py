@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,6 +13,7 @@ from rich.table import Table
 
 from baggie.commissioning.health import MOVING, STILL, Check, Doubt
 from baggie.errors import BaggieError
+from baggie.terminal import ask, is_attended
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
@@ -106,6 +106,7 @@ def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool 
 
 def _ask(question: str) -> bool:
     """At the terminal; where nobody is, no."""
-    if not sys.stdin.isatty():
+    try:
+        return is_attended() and ask(Console(stderr=True), f"{question} [y/N]").lower() in {"y", "yes"}
+    except EOFError:
         return False
-    return Console(stderr=True).input(f"[bold]→[/] {question} [y/N] ").strip().lower() in {"y", "yes"}

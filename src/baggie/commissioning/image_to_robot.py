@@ -20,6 +20,7 @@ from baggie.commissioning.points import Find, grid, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, DataError
+from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, transform_points
 from baggie.progress import progress_bar
 from baggie.vision.picture_files import read_picture, write_picture
@@ -69,10 +70,10 @@ def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:
             result = calibrate_image_to_robot_live(bench, options)
     result.save(options.out)
     picture = options.out.with_suffix(".png")
-    draw_residuals(result, picture)
+    drawn = write_if_possible(picture, partial(draw_residuals, result))
     return {
         "calibration": str(options.out),
-        "picture": str(picture),
+        **({"picture": str(picture)} if drawn else {}),
         **result.summary(),
         "next": f"baggie calibrate check --map {options.out}",
     }

@@ -5,6 +5,7 @@ Nothing here needs PyTorch; `weights.py` does.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ import huggingface_hub
 import yaml
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
 
-from baggie.errors import DataError
+from baggie.errors import DataError, WriteError
 
 CONFIG = "config.yaml"
 WEIGHTS = "policy.safetensors"
@@ -58,19 +59,20 @@ def config_bytes(config: Mapping[str, Any]) -> bytes:
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files by name into a folder, which is made, complete or not at all.
 
-    Raises `DataError` when that is impossible: a full disk, no right to write.
+    Raises `WriteError` when that is impossible: a full disk, no right to write.
     """
     from baggie.data.files import write_all  # noqa: PLC0415 -- what only reads needs no pyarrow
 
     partial = folder / ".partial"
     try:
         write_all([(folder / name, content) for name, content in files.items()], partial)
-        partial.rmdir()
     except OSError as error:
-        raise DataError(
+        raise WriteError(
             f"{folder} cannot be written: {error.strerror}; free some space or mend the rights, then run the "
             "same command again"
         ) from None
+    with contextlib.suppress(OSError):  # somebody else's files may be in it
+        partial.rmdir()
 
 
 def read_config(folder: Path) -> dict[str, Any]:

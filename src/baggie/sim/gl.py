@@ -9,6 +9,9 @@ from baggie.errors import BaggieError
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 
+_opened_by: int | None = None
+"""The process that has opened OpenGL: this one, or the one that it was forked from."""
+
 
 def choose_backend() -> None:
     """Set `MUJOCO_GL` to a backend whose library is there, unless the user has chosen one.
@@ -32,3 +35,17 @@ def require_backend() -> None:
             f"rendering off screen needs {names}, and it is not on this machine; install one with: "
             "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6)"
         )
+
+
+def claim() -> None:
+    """Say that this process is about to open OpenGL. Raises `BaggieError` in a copy of one that has opened it.
+
+    A fork copies no threads, OpenGL's neither: it would wait for them for ever.
+    """
+    global _opened_by  # noqa: PLW0603 -- a fact about the process
+    if _opened_by not in {None, os.getpid()}:
+        raise BaggieError(
+            "expected a process of its own to render in, got a fork of one that has rendered before, in which OpenGL "
+            'never answers; start workers with context="spawn", or before the first picture is taken'
+        )
+    _opened_by = os.getpid()
