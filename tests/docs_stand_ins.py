@@ -51,7 +51,7 @@ STAND_INS = (
     # The lab: as fast as it can, at an address that no other test has.
     StandIn(r"^baggie lab\b", "baggie lab --host {host} --pace 0"),
     StandIn(r"\b127\.0\.0\.1:8090\b", "{lab}"),
-    StandIn(r'source="0"', 'source="http://{lab}/camera.mjpg"', "cameras"),
+    StandIn(r'source="0"', 'source="http://{lab}/camera.mjpg"', "cameras|own-arm"),
     # The marker in the hand is the lab's paddle; nobody has to be waited for.
     StandIn(
         r"^(baggie calibrate image-to-robot .*--workcell cell\.yaml.*)",
