@@ -14,7 +14,8 @@ import subprocess
 import sys
 import sysconfig
 import venv
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import pytest
