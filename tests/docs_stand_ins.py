@@ -39,9 +39,12 @@ class StandIn:
     """A regular expression of the pages it is for; all of them unless given."""
 
 
-_CURL = "curl --silent --show-error --fail --output /dev/null -X POST http://{lab}"
-_HOLD = f"{_CURL}/paddle?shown=1 && {_CURL}/bag?x=0.5\\&y=0.8"
-_LET_GO = f"{_CURL}/paddle?shown=0 && {_CURL}/reset?seed=0"
+_POST = (
+    'python -c "import sys, urllib.request as web; '
+    "[web.urlopen(web.Request('http://{lab}/' + path, method='POST')) for path in sys.argv[1:]]\""
+)
+_HOLD = f'{_POST} paddle?shown=1 "bag?x=0.5&y=0.8"'
+_LET_GO = f"{_POST} paddle?shown=0 reset?seed=0"
 """What somebody does with the marker's plate and the bag."""
 
 STAND_INS = (
