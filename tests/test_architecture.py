@@ -7,7 +7,18 @@ import baggie
 
 ROOT = Path(baggie.__file__).parent
 FLOORS = [
-    {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress"},
+    {
+        "types",
+        "geometry",
+        "grid",
+        "errors",
+        "seeds",
+        "files",
+        "processes",
+        "progress",
+        "import_errors",
+        "system_libraries",
+    },
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
     {"collect", "commissioning", "lab", "learning", "evaluation"},
