@@ -28,7 +28,7 @@ class Numbers:
 
 
 SHORT = Numbers(attempts=8, train=6, val=2, steps=60, episodes=1, rows=2)
-NIGHT = Numbers(attempts=40, train=26, val=8, steps=300, episodes=2, rows=3)
+NIGHT = Numbers(attempts=14, train=10, val=3, steps=300, episodes=2, rows=3)
 
 
 @dataclass(frozen=True)
