@@ -32,7 +32,7 @@ from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.workcell import Workcell
 from baggie.workcell.workcell_file import read_workcell_file
 
-pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
 """A pytest that is killed leaves no lab behind."""
 FAST_M_S = 1.2
