@@ -54,8 +54,8 @@ def _note(episode: Episode) -> str:
 
 def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
     raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
-    where = {"scenery": options.scenery} if options.workcell is None else {"workcell": str(options.workcell)}
-    return {**where, "goal": options.goal, **raised, "retries": options.retries}
+    scenery = {"scenery": options.scenery} if options.workcell is None else {}
+    return {**scenery, "goal": options.goal, **raised, "retries": options.retries}
 
 
 def _card_raised(options: EvaluateOptions, console: Console) -> bool:

@@ -67,7 +67,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
         "policy": name,
         "run": Path(options.policy).name,
         "task": options.task,
-        "cell": options.cell,
+        **_place(options),
         **conditions,
         **kind.measure([episodes[number] for number in range(options.episodes)], options),
         "provenance": provenance([options.seed]),
@@ -96,6 +96,11 @@ def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
         console.print(f"warning: {options.policy} belongs to cell {trained_in}, not to cell {options.cell}")
 
 
+def _place(options: EvaluateOptions) -> dict[str, Any]:
+    """Which workcell it is in: a file's or, simulated, one with a number."""
+    return {"cell": options.cell} if options.workcell is None else {"workcell": str(options.workcell)}
+
+
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:
     """Never mix two evaluations in one folder: the log belongs to one policy and one stream of scenes."""
     path = options.out / "evaluation.json"
@@ -104,7 +109,7 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
         "fingerprint": fingerprint(options.policy),
         "task": options.task,
         "seed": options.seed,
-        "cell": options.cell,
+        **_place(options),
         **conditions,
     }
     if not path.exists():

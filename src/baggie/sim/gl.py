@@ -10,6 +10,9 @@ from baggie.system_libraries import RENDERING, missing_for_rendering, remedy, re
 
 _NONE = "disable"  # MuJoCo's word
 
+_opened_by: int | None = None
+"""The process that has opened OpenGL: this one, or the one that it was forked from."""
+
 
 def choose_backend() -> None:
     """Set `MUJOCO_GL` to a way to render whose libraries are there; of those it knows, if the user has chosen one.
@@ -35,3 +38,17 @@ def require_backend() -> None:
         raise BaggieError(
             f"MUJOCO_GL={_NONE} forbids to draw pictures; unset it, or say {' or '.join(RENDERING)}"
         )
+
+
+def claim() -> None:
+    """Say that this process is about to open OpenGL. Raises `BaggieError` in a copy of one that has opened it.
+
+    A fork copies no threads, OpenGL's neither: it would wait for them for ever.
+    """
+    global _opened_by  # noqa: PLW0603 -- a fact about the process
+    if _opened_by not in {None, os.getpid()}:
+        raise BaggieError(
+            "expected a process of its own to render in, got a fork of one that has rendered before, in which OpenGL "
+            'never answers; start workers with context="spawn", or before the first picture is taken'
+        )
+    _opened_by = os.getpid()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from baggie.errors import ArmError, BaggieError, ReachError, StuckError
+from baggie.extras import install_extra, pip_install
 from baggie.geometry import FloatArray, difference, rigid
 from baggie.import_errors import explained
 from baggie.sim.scene import TOOL_OFFSET_M
@@ -51,7 +52,7 @@ def load_franky() -> Any:
         import franky  # noqa: PLC0415 -- an extra
     except ImportError as error:
         raise explained(error) or BaggieError(
-            "a Franka arm needs franky-control, which is not installed; pip install 'baggie[franka]'"
+            f"a Franka arm needs franky-control, which is not installed: {install_extra('franka')}"
         ) from None
     return franky
 
@@ -227,9 +228,10 @@ def _check_tool(T_flange_tool: FloatArray) -> None:
 def _mismatch(host: str, message: str) -> str:
     found = re.search(r"server version: (\d+), library version: (\d+)", message)
     robot, library = found.groups() if found else ("VERSION", "another")
+    wheel = ("--force-reinstall", "franky-control", "--extra-index-url", f"{WHEELS}/{robot}/")
     return (
         f"the robot at {host} speaks version {robot} of the control protocol, the franky-control installed here "
-        f"version {library}; pip install --force-reinstall franky-control --extra-index-url {WHEELS}/{robot}/"
+        f"version {library}: {pip_install(*wheel)}"
     )
 
 
