@@ -112,6 +112,7 @@ def exit_code_of() -> Callable[..., int | None]:
     context.set_forkserver_preload([__name__])
     with pytest.MonkeyPatch.context() as alone:
         alone.setenv("OPENBLAS_NUM_THREADS", "1")
+        alone.setenv("JE_ARROW_MALLOC_CONF", "background_thread:false")
         alone.setenv("PYTHONPATH", os.pathsep.join(sys.path))
         forkserver.ensure_running()
 
