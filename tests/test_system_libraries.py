@@ -134,6 +134,13 @@ def test_root_has_them_installed_and_looks_again_in_a_new_process(
     assert ran[2][-1] == "--only-look"
 
 
+def test_the_page_on_installing_names_the_same(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    system_libraries.main(may_install=False)
+    command = capsys.readouterr().err.split(": ")[-1]
+    page = SOURCE.parent / "docs" / "installing.md"
+    assert f"\n{command}" in page.read_text()
+
+
 def test_it_runs_on_a_python_without_any_package_and_finds_all_here() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-S", SCRIPT, "--only-look"], capture_output=True, text=True, check=False
