@@ -4,7 +4,9 @@ Laws are tried on a few examples, which are others each time; `--hypothesis-prof
 """
 
 import signal
+from collections.abc import Callable
 
+import pytest
 from hypothesis import settings
 
 # A shell that starts something with & makes it deaf to Ctrl-C.
@@ -12,3 +14,17 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("quick", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("quick")
+
+
+@pytest.fixture
+def below(record_property: Callable[[str, object], None]) -> Callable[[str, float, float], None]:
+    """`below(what, value, bound)` asserts it of what was learned, and records how near it came.
+
+    `benchmarks/learned_bounds.py` makes a table of that.
+    """
+
+    def check(what: str, value: float, bound: float) -> None:
+        record_property(what, f"{float(value):.9g} of {bound:g}")
+        assert value < bound, what
+
+    return check
