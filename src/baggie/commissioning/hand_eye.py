@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
@@ -48,7 +49,7 @@ class HandEyeOptions(LiveOptions):
     """Live: the camera fixed and the board in the hand, or the camera on the hand and the board on the table."""
     board: str = HAND_BOARD
     """The board in the hand or on the table; live."""
-    views: int = 15
+    views: Annotated[int, Interval(ge=3)] = 15
     """How many to take, live."""
 
 

@@ -18,6 +18,7 @@ from baggie.commissioning.view_folder import ViewFolder
 from baggie.commissioning.world import points_to_touch
 from baggie.errors import DataError
 from baggie.geometry import transform_points
+from baggie.ranges import Height
 from baggie.vision.targets import parse_target
 from baggie.workcell.arm import hand_pose
 
@@ -34,7 +35,7 @@ class RobotToWorldOptions(LiveOptions):
     """What lies on the table, and has not been moved since the camera was calibrated to it."""
     axes_only: bool = False
     """Touch the origin and a point on each axis, no more; then a wrong touch cannot be noticed."""
-    probe: float = 0.03
+    probe: Height = 0.03
     """How far the tip that touches is beyond the point between the fingertips, metres."""
     camera_to_world: Path | None = None
     """Given, the camera's pose in the robot's frame is written as well, to camera-to-robot.yaml beside `out`."""
