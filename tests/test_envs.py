@@ -40,8 +40,11 @@ envs.close(terminate=True)
 """
 
 
-def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so() -> None:
-    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *IDS]
+@pytest.mark.parametrize("names", [IDS[:1], pytest.param(IDS[1:], marks=pytest.mark.slow)], ids=str)
+def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so(
+    names: list[str],
+) -> None:
+    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *names]
     done = subprocess.run(given, check=False, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     (line,) = done.stdout.splitlines()

@@ -50,7 +50,7 @@ def options(tmp_path, **asked):
 
 @pytest.fixture
 def cell():
-    return calibrated(RealFake())
+    return calibrated(RealFake(size=(640, 360)))
 
 
 def test_what_is_seen_is_where_it_is(cell):
