@@ -13,8 +13,11 @@ import pytest
 from annotated_types import Interval
 
 from baggie import cli
-from baggie.errors import UsageError
+from baggie.commissioning.points import parse_marker
+from baggie.errors import BaggieError, UsageError
+from baggie.lab.options import LabOptions
 from baggie.ranges import Count, Options, Point, Share, hints
+from baggie.vision.targets import parse_target
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,29 @@ def test_what_is_said(words: str, line: str, tmp_path: Path, capsys: pytest.Capt
     assert cli.main([*words.split(), *data, "--out", str(tmp_path / "out")]) == 2
     assert line in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("read", "words"),
+    [
+        (parse_target, "charuco:100000x5:0.03:0.02:DICT_4X4_50"),
+        (parse_target, f"chessboard:{'9' * 20}x6:0.02"),
+        (parse_target, "chessboard:9x6:nan"),
+        (parse_target, "aruco:DICT_4X4_50:3:inf"),
+        (parse_marker, "color:300,0,0"),
+        (parse_marker, "color:-1,0,0"),
+        *(
+            (lambda words: LabOptions(fault=(words,)).faults(), f"reflex:{after}")
+            for after in ("nan", "inf", "-1", "x")
+        ),
+    ],
+    ids=str,
+)
+def test_numbers_in_words_are_refused_too(read: Callable[[str], object], words: str) -> None:
+    with pytest.raises(BaggieError, match="expected") as error:
+        read(words)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @dataclass(frozen=True)
