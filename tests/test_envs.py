@@ -75,6 +75,22 @@ def test_the_last_step_says_whether_the_bag_is_there() -> None:
     env.close()
 
 
+def test_vector_environments_say_how_the_last_step_ended() -> None:
+    """In `final_info`, where LeRobot's evaluation looks for it."""
+    envs = gymnasium.make_vec(
+        "baggie/BagPlace-v0",
+        num_envs=2,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},
+    )
+    envs.reset(seed=0)
+    for _ in range(3):
+        *_, truncated, info = envs.step(np.full((2, 6), np.nan, np.float32))
+    assert truncated.all()
+    assert info["final_info"]["is_success"].tolist() == [False, False]
+    envs.close()
+
+
 @pytest.mark.parametrize("action", [np.zeros(5), np.zeros((6, 2)), ["a"] * 6, None], ids=str)
 def test_an_action_of_another_shape_is_one_line(action: object) -> None:
     env = gymnasium.make("baggie/BagPlace-v0", disable_env_checker=True).unwrapped
