@@ -5,6 +5,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError, CameraError
@@ -15,13 +17,15 @@ from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
 from baggie.sim.depth_cameras import DepthRenderer
 from baggie.sim.tasks import TASKS
-from baggie.types import Observation
+from baggie.sim.tasks.layout import REACH
+from baggie.types import Observation, PickPlace
 from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
 from baggie.workcell.camera import Camera
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.height_map_camera import HeightMapCamera
 from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
+from carries import carries_in, check_reached
 
 GRID = Grid()
 
@@ -229,6 +233,14 @@ def test_a_lens_that_cannot_be_rendered_is_one_line() -> None:
     bent = replace(front, intrinsics=replace(front.intrinsics, distortion=np.array([0.1, 0, 0, 0])))
     with pytest.raises(BaggieError, match="'front' to have square pixels"):
         BlockWorld(draw_cell(0), [Block("a")], cameras=[bent])
+
+
+@given(carries_in(REACH), st.sampled_from([1, 2, 4]))
+def test_every_action_of_the_environment_is_reached(
+    pyramid: BlockWorkcell, action: PickPlace, symmetry: int
+) -> None:
+    pyramid.arm.park()
+    check_reached(pyramid, action, symmetry)
 
 
 @pytest.mark.filterwarnings("ignore")

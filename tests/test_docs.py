@@ -168,6 +168,14 @@ def test_files_named_in_the_text_are_there(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tests_named_in_the_text_are_there(page: Path) -> None:
+    for code in inline(page):
+        if re.fullmatch(r"test_\w+\.py::\w+", code):
+            file, _, test = code.partition("::")
+            assert f"def {test}(" in (ROOT / "tests" / file).read_text(), code
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_python_names_in_the_text_are_there(page: Path) -> None:
     for code in inline(page):
         if re.fullmatch(r"baggie(\.\w+)+", code):

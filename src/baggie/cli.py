@@ -29,6 +29,7 @@ from baggie.evaluation.report import ReportOptions
 from baggie.evaluation.report import report as run_report
 from baggie.evaluation.validate import ValidateOptions
 from baggie.evaluation.validate import validate as run_validate
+from baggie.import_errors import explained
 from baggie.lab.options import LabOptions
 from baggie.learning import TrainOptions
 from baggie.learning import train as run_train
@@ -247,12 +248,21 @@ def _run(arguments: list[str] | None) -> int:
             ),
         )
     except (BaggieError, OSError) as error:
-        print("error:", " ".join(str(error).split()), file=sys.stderr)
-        return WRONG_USAGE if isinstance(error, UsageError) else FAILED
+        return _failed(error)
+    except ImportError as error:
+        if (missing := explained(error)) is None:
+            raise
+        return _failed(missing)
     except KeyboardInterrupt as interruption:
         print(str(interruption) or "interrupted; the same command again goes on", file=sys.stderr)
         return INTERRUPTED
     return DONE
+
+
+def _failed(error: Exception) -> int:
+    """Say why in one line; the exit status."""
+    print("error:", " ".join(str(error).split()), file=sys.stderr)
+    return WRONG_USAGE if isinstance(error, UsageError) else FAILED
 
 
 if __name__ == "__main__":

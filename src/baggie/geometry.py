@@ -27,6 +27,13 @@ def wrap_angle(angle: float | FloatArray, period: float = 2 * math.pi) -> float 
     return (angle + period / 2) % period - period / 2
 
 
+def nearest_angle(angle: float, to: float) -> float:
+    """The angle (radians), whole turns added, that is nearest to `to`: within half a turn, itself if it is already."""
+    if -math.pi < angle - to <= math.pi:
+        return angle
+    return to - wrap_angle(to - angle)
+
+
 @dataclass(frozen=True)
 class PlanarPose:
     """A pose on the table in the robot's base frame: x forward, y left (metres), yaw about z (radians).

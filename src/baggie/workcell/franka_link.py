@@ -14,6 +14,7 @@ import numpy as np
 from baggie.errors import ArmError, BaggieError, ReachError, StuckError
 from baggie.extras import install_extra, pip_install
 from baggie.geometry import FloatArray, difference, rigid
+from baggie.import_errors import explained
 from baggie.sim.scene import TOOL_OFFSET_M
 
 CONNECT_TIMEOUT_S = 10.0  # libfranka itself waits a minute for a robot that is not there
@@ -49,8 +50,8 @@ def load_franky() -> Any:
     """The library that speaks with Franka robots. Raises `BaggieError` where it is not installed."""
     try:
         import franky  # noqa: PLC0415 -- an extra
-    except ImportError:
-        raise BaggieError(
+    except ImportError as error:
+        raise explained(error) or BaggieError(
             f"a Franka arm needs franky-control, which is not installed: {install_extra('franka')}"
         ) from None
     return franky

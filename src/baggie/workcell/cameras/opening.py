@@ -7,6 +7,7 @@ from typing import Protocol
 
 from baggie.errors import CameraError
 from baggie.extras import install_extra
+from baggie.import_errors import explained
 from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.live import LiveCamera
 from baggie.workcell.cameras.opencv import OpenCVStream, is_live
@@ -38,6 +39,8 @@ def open_camera(settings: CameraSettings) -> OpenCamera:
     try:
         importlib.import_module(package)
     except ImportError as error:
+        if missing := explained(error):
+            raise CameraError(f"a camera of kind {settings.kind} cannot be opened: {missing}") from None
         raise CameraError(
             f"a camera of kind {settings.kind} needs the package {package}, which cannot be imported "
             f"({' '.join(str(error).split())}); {_BEFORE.get(settings.kind, '')}{install_extra(settings.kind)}"
