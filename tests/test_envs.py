@@ -13,6 +13,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("baggie/"))
+ONE_OF_EACH = ["baggie/AlignBoxCorner-v0", "baggie/BagPlace-v0"]
 
 SIDE_BY_SIDE = """
 import sys
@@ -40,15 +41,18 @@ envs.close(terminate=True)
 """
 
 
-def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so() -> None:
-    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *IDS]
+@pytest.mark.parametrize("names", [ONE_OF_EACH, pytest.param(IDS, marks=pytest.mark.slow)], ids=len)
+def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so(
+    names: list[str],
+) -> None:
+    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *names]
     done = subprocess.run(given, check=False, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     (line,) = done.stdout.splitlines()
     assert 'context="spawn"' in line
 
 
-@pytest.mark.parametrize("name", ["baggie/BagPlace-v0", "baggie/AlignBoxCorner-v0"])
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_what_is_written_into_an_observation_or_a_picture_stays_there(name: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)
     observation, info = env.reset(seed=1)
