@@ -79,19 +79,21 @@ def test_the_last_step_says_whether_the_bag_is_there() -> None:
     env.close()
 
 
-def test_vector_environments_say_how_the_last_step_ended() -> None:
-    """In `final_info`, where LeRobot's evaluation looks for it."""
-    envs = gymnasium.make_vec(
-        "baggie/BagPlace-v0",
-        num_envs=2,
-        vectorization_mode="sync",
-        vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},
-    )
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
+def test_vector_environments_say_how_the_last_step_ended(mode: str) -> None:
+    """In `info`, or in its `final_info`: where LeRobot's evaluation looks for it. The step after it counts for 0."""
+    kwargs = {"autoreset_mode": gymnasium.vector.AutoresetMode[mode]}
+    envs = gymnasium.make_vec("baggie/BagPlace-v0", vectorization_mode="sync", vector_kwargs=kwargs)
     envs.reset(seed=0)
+    refused = np.full((1, 6), np.nan, np.float32)
     for _ in range(3):
-        *_, truncated, info = envs.step(np.full((2, 6), np.nan, np.float32))
+        *_, truncated, info = envs.step(refused)
     assert truncated.all()
-    assert info["final_info"]["is_success"].tolist() == [False, False]
+    last = info["final_info"] if mode == "SAME_STEP" else info
+    assert last["is_success"].tolist() == [False]
+    _, rewards, *_, info = envs.step(refused)
+    assert (rewards == 0).all() == (mode == "NEXT_STEP")
+    assert ("refused" in info) == (mode == "SAME_STEP")
     envs.close()
 
 
