@@ -145,6 +145,7 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     """What `config.yaml` says of the training: all that decides its result."""
     return {
         "data": str(options.data),
+        "task": split.train[0].task,
         "seed": options.seed,
         "steps": steps,
         "weights": options.weights,
@@ -162,7 +163,10 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     """Make the run's folder with its config, or check that an existing one is of this very training."""
     path = options.out / checkpoint.CONFIG
     if path.exists():
-        if checkpoint.read_config(options.out) != policy.config():
+        found = checkpoint.read_config(options.out)
+        # A run begun before runs said so was taught the task of its data, too.
+        found["training"] = {"task": policy.training["task"], **found.get("training", {})}
+        if found != policy.config():
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"
             )
