@@ -26,7 +26,7 @@ from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
-from baggie.errors import BaggieError, DataError
+from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
@@ -212,6 +212,14 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     assert "\n" not in str(caught.value)
     assert len(open_dataset(tmp_path)) == 3
     assert collect(options, open_fake)["attempts"] == 5
+
+
+def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
+    (tmp_path / COVERAGE_FILE).mkdir()
+    with pytest.warns(BaggieWarning, match=f"{COVERAGE_FILE} cannot be written"):
+        summary = collect(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
+    assert summary["attempts"] == 2
+    assert "coverage_picture" not in summary
 
 
 def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):

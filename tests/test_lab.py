@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import shutil
 import signal
@@ -10,10 +11,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import baggie
 from baggie.collect import CollectOptions, collect
@@ -29,8 +34,9 @@ from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera import Camera
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.cameras.opening import open_camera
-from baggie.workcell.workcell import Workcell
+from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
+from carries import carries_in, check_reached
 
 pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
 ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
@@ -106,6 +112,43 @@ def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabC
     assert outcome.success
     assert outcome.grasp_width_m > cell.settings.handling.empty_width_m
     assert control.bag_pose().distance(place) < 0.03
+
+
+@pytest.mark.slow
+def test_a_bag_is_laid_with_the_dents_of_a_grasp_or_as_new(cell: Workcell, control: LabControl) -> None:
+    def area(*, undented: bool) -> float:
+        control.lay_bag(HERE, undented=undented)
+        found = find_bag(cell.look().color, cell.settings.object_color)
+        assert found is not None
+        return float(cv2.contourArea(found.corners.astype(np.float32)))
+
+    new = area(undented=True)
+    assert cell.execute(PickPlace(HERE, HERE)).success
+    assert area(undented=False) > 1.05 * new
+    assert area(undented=True) == pytest.approx(new, rel=0.02)
+
+
+@given(carries_in(WorkcellSettings().workspace), st.sampled_from([1, 2, 4]))
+def test_every_carry_however_it_is_said_is_within_the_wrists_reach(
+    opened: Workcell, action: PickPlace, symmetry: int
+) -> None:
+    opened.arm.park()
+    check_reached(opened, action, symmetry)
+
+
+@pytest.mark.slow
+def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: Workcell, control: LabControl) -> None:
+    ways = []
+    for pick_yaw, place_yaw in ((0.3, 0.0), (0.3 + math.pi, 0.0), (0.3 - 2 * math.pi, math.pi)):
+        control.reset(0)
+        control.lay_bag(replace(HERE, yaw=0.3))
+        cell.arm.park()
+        place = PlanarPose(0.5, 0.2, place_yaw)
+        outcome = cell.execute(PickPlace(replace(HERE, yaw=pick_yaw), place))
+        assert outcome.success
+        assert control.bag_pose().distance(place) < 0.02
+        ways.append(outcome.executed.to_array())
+    np.testing.assert_allclose(ways, np.tile(ways[0], (3, 1)), atol=0.01)
 
 
 def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell, control: LabControl) -> None:

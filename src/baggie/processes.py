@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection, wait
 from typing import TypeVar, cast
 
 from baggie.errors import BaggieError
+from baggie.import_errors import explained
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -114,6 +115,9 @@ def _work(
         return  # the parent has gone
     except BaggieError as error:
         connection.send(("error", error))
+    except ImportError as error:
+        missing = explained(error)
+        connection.send(("error", missing) if missing else ("crash", traceback.format_exc()))
     except Exception:
         connection.send(("crash", traceback.format_exc()))
 

@@ -24,6 +24,7 @@ from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.files import write_if_possible
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.progress import ProgressBar, progress_bar
 from baggie.terminal import ask, is_attended
@@ -73,13 +74,11 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
             recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
             raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
     dataset = open_dataset(options.out)
-    draw_coverage(dataset, image_to_robot.area, options.out / COVERAGE_FILE)
-    summary = summarize(dataset, image_to_robot.area)
-    return {
-        **summary,
-        "attempts_per_minute": rate,
-        "coverage_picture": str(options.out / COVERAGE_FILE),
-    }
+    summary = {**summarize(dataset, image_to_robot.area), "attempts_per_minute": rate}
+    picture = options.out / COVERAGE_FILE
+    if write_if_possible(picture, functools.partial(draw_coverage, dataset, image_to_robot.area)):
+        summary["coverage_picture"] = str(picture)
+    return summary
 
 
 def _say(console: Console, line: str) -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from baggie.commissioning.health import MOVING, STILL, Check, Doubt
 from baggie.errors import BaggieError
+from baggie.ranges import Options, Seed
 from baggie.terminal import ask, is_attended
 from baggie.workcell.workcell import Workcell
 
@@ -21,12 +22,12 @@ _COLORS: dict[Verdict, str] = {"ok": "green", "look": "yellow", "failed": "bold 
 
 
 @dataclass(frozen=True)
-class DoctorOptions:
+class DoctorOptions(Options):
     """Check a workcell."""
 
     workcell: tyro.conf.Positional[str] = "sim"
     """A workcell file, or `sim`."""
-    cell: int = 0
+    cell: Seed = 0
     """Number of the simulated workcell."""
     move: Literal["ask", "yes", "no"] = "ask"
     """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand."""

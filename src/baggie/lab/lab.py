@@ -146,9 +146,9 @@ class Lab:
         self.robot.hold()
         self.fci.hold()
 
-    def lay_bag(self, pose: PlanarPose) -> None:
-        """Put the bag, undented, somewhere else, as a person would."""
-        self.world.put_bag(pose)
+    def lay_bag(self, pose: PlanarPose, *, undented: bool) -> None:
+        """Put the bag somewhere else, as a person would; its dents stay unless `undented`."""
+        self.world.put_bag(pose, undented=undented)
 
     def moment(self) -> Moment:
         """The scene as it is now, for the darkroom to draw."""

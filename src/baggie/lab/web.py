@@ -3,7 +3,7 @@
 GET  /camera.mjpg
 GET  /truth
 POST /reset?seed=3
-POST /bag?x=0.5&y=0.1&yaw=0
+POST /bag?x=0.5&y=0.1&yaw=0&undented=1
 POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
 """
@@ -80,7 +80,8 @@ class _Handler(BaseHTTPRequestHandler):
                     lab.call(lambda: lab.reset(seed))
                 case "/bag":
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
-                    lab.call(lambda: lab.lay_bag(pose))
+                    undented = bool(_number(words, "undented", 0.0))
+                    lab.call(lambda: lab.lay_bag(pose, undented=undented))
                 case "/paddle":
                     shown = bool(_number(words, "shown"))
                     lab.call(lambda: lab.world.show_paddle(shown))
