@@ -164,7 +164,7 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 def test_killed_twice_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path):
     out = tmp_path / "data"
     for count in (2, 8):

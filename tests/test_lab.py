@@ -42,7 +42,7 @@ from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 from carries import carries_in, check_reached
 
-pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
 """A pytest that is killed leaves no lab behind."""
 FAST_M_S = 1.2

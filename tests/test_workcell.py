@@ -280,7 +280,7 @@ def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:
 
 
 def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> None:
-    pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+    pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
     video = tmp_path / "table.avi"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
     writer.write(np.zeros((48, 64, 3), np.uint8))
