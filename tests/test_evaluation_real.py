@@ -20,6 +20,7 @@ from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
+from baggie.types import Outcome
 from baggie.workcell.calibrations import Calibrations
 from fake_workcell import FakeCell
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
@@ -28,7 +29,25 @@ FILE = Path("cell.yaml")
 
 
 class RealFake(FakeCell):
-    """A fake cell that is told nothing by anybody, and carries out what is planned."""
+    """A fake cell whose scene stays as it is, whose truth nobody knows, and which carries out what is planned."""
+
+    looks = 0
+
+    def lay_anew(self, seed):
+        super().reset((seed,))
+
+    def reset(self, seed):
+        if hasattr(self, "bag"):
+            self.arm.park()
+        else:
+            self.lay_anew(0)
+
+    def truth(self):
+        return None
+
+    def look(self):
+        self.looks += 1
+        return super().look()
 
     def carry_out(self, plan):
         return self.execute(plan.action)
@@ -41,7 +60,8 @@ def calibrated(cell):
 
 def bench(cell, options):
     seen = SeenCell(cell, FILE)
-    return Bench(seen, ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color), seen.image_to_robot)
+    policy = ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color)
+    return Bench(seen, policy, seen.image_to_robot, seen.find)
 
 
 def options(tmp_path, **asked):
@@ -56,8 +76,38 @@ def cell():
 def test_what_is_seen_is_where_it_is(cell):
     seen = SeenCell(cell, FILE)
     for seed in range(5):
-        cell.reset((seed,))
-        assert seen.truth().distance(cell.bag) < 0.004
+        cell.lay_anew(seed)
+        assert seen.find(seen.look()).distance(cell.bag) < 0.004
+
+
+def test_what_was_seen_belongs_to_its_picture_and_asking_for_it_moves_nothing(cell):
+    asked = bench(cell, None)
+    picture, then = asked.cell.look(), cell.bag
+    cell.arm.move_to(PlanarPose(0.5, 0.0).at_height(0.2), 0.1)
+    cell.bag = PlanarPose(0.5, 0.2)
+    assert asked.bag_in(picture).distance(then) < 0.004
+    assert asked.cell.truth() is None
+    assert cell.arm.pose() != cell.arm.park()
+    assert cell.looks == 1
+
+
+def test_an_episode_takes_three_pictures(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+    in_cell = functools.partial(bench, cell)
+    evaluate(options(tmp_path), in_cell)
+    assert cell.looks == 3 * 4
+    for episode in read_log(tmp_path / "episodes.jsonl", Episode):
+        assert episode.pick_error_cm < 1e-9  # the policy plans from the picture, and so is measured
+
+
+def test_a_bag_the_policy_puts_out_of_reach_is_its_own_affair(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+    far = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.03)
+    cell.carry_out = lambda plan: setattr(cell, "bag", far) or Outcome(plan.action)
+    assert (
+        evaluate(replace(options(tmp_path), episodes=1), functools.partial(bench, cell))["success"]["rate"]
+        == 0
+    )
+    with pytest.raises(BaggieError, match="put it back"):
+        evaluate(replace(options(tmp_path), episodes=2), functools.partial(bench, cell))
 
 
 def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
