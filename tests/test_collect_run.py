@@ -82,6 +82,29 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
+    file, out = tmp_path / "cell.yaml", tmp_path / "data"
+
+    def go_on(written, attempts):
+        file.write_text(written)
+        given = CollectOptions(out=out, attempts=attempts, workers=1, workcell=file)
+        return collect(given, open_fake)["attempts"]
+
+    bag = "arm: sim\nbag: {length_m: 0.13, width_m: 0.13}\n"
+    assert go_on(bag, 1) == 1
+    assert go_on(f"# slower\n{bag}limits: {{max_speed_m_s: 1.3}}\n", 2) == 2
+    for other in (bag.replace("0.13", "0.12"), f"{bag}workspace: {{x: [0.4, 0.6]}}\n"):
+        with pytest.raises(DataError, match="recorded with workcell"):
+            go_on(other, 3)
+    with pytest.raises(DataError, match="recorded with workcell"):
+        collect(CollectOptions(out=out, attempts=3, workers=1), open_fake)
+    settings = out / "attempts/collection.json"
+    content = json.loads(settings.read_text())
+    del content["collection"]["workcell"]  # as an older version wrote it
+    settings.write_text(json.dumps(content))
+    assert go_on(bag, 3) == 3
+
+
 def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
     with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
         collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)

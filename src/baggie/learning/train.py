@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -145,6 +146,7 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     """What `config.yaml` says of the training: all that decides its result."""
     return {
         "data": str(options.data),
+        "labels": _fingerprint(split.train),
         "seed": options.seed,
         "steps": steps,
         "weights": options.weights,
@@ -158,11 +160,20 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     }
 
 
+def _fingerprint(attempts: Sequence[Attempt]) -> str:
+    """Changes when other attempts were recorded under the same name: a hash of what was done in them."""
+    done = [(attempt.commanded.to_array(), attempt.outcome.executed.to_array()) for attempt in attempts]
+    return hashlib.sha256(np.array(done).tobytes()).hexdigest()[:16]
+
+
 def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerator) -> None:
     """Make the run's folder with its config, or check that an existing one is of this very training."""
     path = options.out / checkpoint.CONFIG
     if path.exists():
-        if checkpoint.read_config(options.out) != policy.config():
+        found, asked = checkpoint.read_config(options.out), policy.config()
+        if "labels" not in found.get("training", {}):  # an older version did not write it down
+            del asked["training"]["labels"]
+        if found != asked:
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"
             )
