@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -298,6 +299,19 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
+
+
+@pytest.mark.parametrize("symmetry", [4, 2, 0])
+def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, symmetry):
+    from baggie.policies import load_policy
+
+    cell = open_fake(miss_rate=0.0)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    first = next(iter(sit((0, 1))))
+    cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
+    second = next(iter(sit((0, 1))))
+    assert (first.object_symmetry, second.object_symmetry) == (4, symmetry)
 
 
 def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(reference):

@@ -425,6 +425,21 @@ def test_yaws_are_compared_modulo_the_object_s_symmetry(symmetry, off_deg):
     assert labels["place_yaw_error_deg"]["max"] == pytest.approx(0)
 
 
+@pytest.mark.parametrize(("symmetry", "off_deg"), [(None, 0), (1, 90), (2, 90), (4, 0), (0, 0)])
+def test_yaws_are_compared_as_each_attempt_says(symmetry, off_deg):
+    square, other = (replace(ATTEMPTS[0], object_symmetry=each) for each in (4, symmetry))
+
+    class QuarterTurned:
+        name = "turned"
+
+        def plan(self, observation, goal=None):
+            right = ATTEMPTS[0].outcome.executed
+            return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
+
+    errors = measure(QuarterTurned(), [square, other])["labels"]["pick_yaw_error_deg"]
+    assert errors["mean"] == pytest.approx(off_deg / 2, abs=1e-6)
+
+
 def test_a_device_that_is_not_there(tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is one")
