@@ -11,6 +11,7 @@ import pytest
 import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
 from baggie.errors import BaggieError
+from baggie.evaluation import bag_place as closed_loop_of_bags
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.episode import Episode
@@ -138,6 +139,24 @@ def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path, in
     assert f"color-mask, {FILE}" in text
     assert "0 of 5 bags to within 2 cm" in text  # the page is about the simulated one
     assert "Plans against the truth or what the camera saw" in text
+
+
+def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_camera_is_is_not(tmp_path):
+    file, lens = tmp_path / "cell.yaml", tmp_path / "camera.yaml"
+    lens.write_text("made: once")
+    text = "arm: {kind: franka, host: 10.0.0.2}\ncamera: 0\ncalibrations: {intrinsics: camera.yaml}\n"
+
+    def says(written):
+        file.write_text(written)
+        return closed_loop_of_bags._says(file)
+
+    first = says(text)
+    assert (
+        says(f"# at night\n{text.replace('10.0.0.2', '10.0.0.3').replace('camera: 0', 'camera: 2')}") == first
+    )
+    assert says(f"{text}bag: {{length_m: 0.13}}\n") != first
+    lens.write_text("made: again")
+    assert says(text) != first
 
 
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import shutil
@@ -10,6 +11,8 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -260,6 +263,37 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         control.fault("earthquake")
     with pytest.raises(BaggieError, match="start one with: baggie lab"):
         LabControl("http://127.0.0.1:9").truth()
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        *(f"bag?x={wrong}&y=0.1" for wrong in ("nan", "9e9", "-inf", "1e400", "half", "", "-2.5")),
+        *(f"bag?x=0.5&y=0.1&yaw={wrong}" for wrong in ("nan", "inf", "left")),
+        "bag?y=0.1",
+        "bag?x=0.5&y=0.1&z=0.2",
+        *(f"reset?seed={wrong}" for wrong in ("nan", "-1", "1e400", "1.5", "9" * 5000, "")),
+        *(f"paddle?shown={wrong}" for wrong in ("nan", "2", "-1", "yes")),
+        "paddle",
+        *(f"fault?name=refuse&after={wrong}" for wrong in ("nan", "-1", "inf", "1e9")),
+        *(f"fault?name=drop-packets&seconds={wrong}" for wrong in ("nan", "-1", "1e400", "1e300")),
+    ],
+)
+def test_what_makes_no_scene_and_no_fault_is_refused_and_nothing_changes(
+    cell: Workcell, control: LabControl, asked: str
+) -> None:
+    before = control.truth()
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(
+            urllib.request.Request(f"{control.address}/{asked}", method="POST"), timeout=20
+        )
+    assert refused.value.code == 400
+    line = json.load(refused.value)["error"]
+    assert line.startswith("expected")
+    assert "\n" not in line
+    after = control.truth()
+    assert after["seed"] == before["seed"] == 0
+    assert np.hypot(after["bag"]["x"] - HERE.x, after["bag"]["y"] - HERE.y) < 0.01
 
 
 @pytest.mark.slow
