@@ -36,6 +36,7 @@ PROGRAMS = {
     "pip",
     "printf",
     "python",
+    "source",
     "sudo",
 }
 """What stands at the beginning of a command."""
