@@ -5,6 +5,7 @@ Laws are tried on a few examples, which are others each time; `--hypothesis-prof
 
 import os
 import signal
+from collections.abc import Callable
 
 import pytest
 from hypothesis import settings
@@ -28,3 +29,17 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     for node in sorted(node for node in skipped if not node.startswith(MAY_ALWAYS_SKIP)):
         reporter.write_line(f"skipped, though everything can be here: {node}", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture
+def below(record_property: Callable[[str, object], None]) -> Callable[[str, float, float], None]:
+    """`below(what, value, bound)` asserts it of what was learned, and records how near it came.
+
+    `benchmarks/learned_bounds.py` makes a table of that.
+    """
+
+    def check(what: str, value: float, bound: float) -> None:
+        record_property(what, f"{float(value):.9g} of {bound:g}")
+        assert value < bound, what
+
+    return check

@@ -143,11 +143,11 @@ def _die_at(step: int, root: Path, attempt_id: int) -> None:
 @pytest.mark.parametrize(
     ("before", "dying", "next_one"),
     [
-        ((), 7, 8),
+        pytest.param((), 7, 8, marks=pytest.mark.slow),
         ((3, 1), 7, 8),
-        ((), 100, 101),  # begins an episode
+        pytest.param((), 100, 101, marks=pytest.mark.slow),  # begins an episode
         ((3, 100, 101), 102, 103),  # goes on with one
-        ((100, 101), 200, 201),  # begins another
+        pytest.param((100, 101), 200, 201, marks=pytest.mark.slow),  # begins another
         ((3, 100, 101), 7, 200),  # ends one by standing alone
     ],
 )
@@ -199,7 +199,7 @@ def _repair_dying_at(step: int, root: Path) -> None:
     writer(root).close()
 
 
-@pytest.mark.parametrize("died_at", [1, 2, 3, 4])
+@pytest.mark.parametrize("died_at", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)), 3, 4])
 def test_dying_in_a_repair_is_repaired(
     tmp_path: Path, died_at: int, exit_code_of: Callable[..., int | None]
 ) -> None:
@@ -230,7 +230,9 @@ print("done", flush=True)
 """
 
 
-@pytest.mark.parametrize("ids", [range(12), [*range(100, 106), 0, *range(200, 205)]])
+@pytest.mark.parametrize(
+    "ids", [pytest.param(range(12), marks=pytest.mark.slow), [*range(100, 106), 0, *range(200, 205)]]
+)
 def test_kill_9_again_and_again(tmp_path: Path, ids: Sequence[int]) -> None:
     returned: list[str] = []
     draw = random.Random(0)

@@ -170,7 +170,7 @@ class Reader:
         self.followed.add(page)
         try:
             self._prepare(given)
-            for block in blocks(ROOT / page):
+            for block in blocks(self.folder / page, self.folder):
                 if block.not_run is None:
                     self._do(block)
         finally:
