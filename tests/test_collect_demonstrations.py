@@ -36,6 +36,7 @@ def test_an_episode_is_shown_step_by_step_and_its_rewards_add_up(recorded: Path)
     dataset = open_dataset(recorded)
     assert dataset.grid == GRID
     assert dataset.collection["object_symmetry"] == 4
+    assert set(dataset.numbers()["object_symmetry"]) == {4}
     numbers = dataset.numbers()
     assert set(dataset.episodes) == set(range(COUNT))
     for episode in range(COUNT):

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,29 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
+    file, out = tmp_path / "cell.yaml", tmp_path / "data"
+
+    def go_on(written, attempts):
+        file.write_text(written)
+        given = CollectOptions(out=out, attempts=attempts, workers=1, workcell=file)
+        return collect(given, open_fake)["attempts"]
+
+    bag = "arm: sim\nbag: {length_m: 0.13, width_m: 0.13}\n"
+    assert go_on(bag, 1) == 1
+    assert go_on(f"# slower\n{bag}limits: {{max_speed_m_s: 1.3}}\n", 2) == 2
+    for other in (bag.replace("0.13", "0.12"), f"{bag}workspace: {{x: [0.4, 0.6]}}\n"):
+        with pytest.raises(DataError, match="recorded with workcell"):
+            go_on(other, 3)
+    with pytest.raises(DataError, match="recorded with workcell"):
+        collect(CollectOptions(out=out, attempts=3, workers=1), open_fake)
+    settings = out / "attempts/collection.json"
+    content = json.loads(settings.read_text())
+    del content["collection"]["workcell"]  # as an older version wrote it
+    settings.write_text(json.dumps(content))
+    assert go_on(bag, 3) == 3
+
+
 def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
     with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
         collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)
@@ -171,7 +195,7 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 @pytest.mark.parametrize("counts", [(5,), pytest.param((2, 8), marks=pytest.mark.slow)])
 def test_killed_it_ends_with_every_attempt_once_and_no_orphans(reference, here, tmp_path, counts):
     out = tmp_path / "data"
@@ -355,6 +379,19 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
+
+
+@pytest.mark.parametrize("symmetry", [4, 2, 0])
+def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, symmetry):
+    from baggie.policies import load_policy
+
+    cell = open_fake(miss_rate=0.0)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    first = next(iter(sit((0, 1))))
+    cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
+    second = next(iter(sit((0, 1))))
+    assert (first.object_symmetry, second.object_symmetry) == (4, symmetry)
 
 
 def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(reference):

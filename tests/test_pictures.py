@@ -109,6 +109,18 @@ def test_files_are_read_by_the_same_rule(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_picture(tmp_path / name), expected)
 
 
+def test_depth_in_millimetres_is_one_line() -> None:
+    millimetres = np.full(GREY.shape, 800, np.uint16)
+    for name in ("depth", "height"):
+        with pytest.raises(
+            BaggieError, match=f"expected the {name} in metres, .*got uint16; divide millimetres by 1000"
+        ):
+            Observation(COLOR, **{name: millimetres})  # type: ignore[arg-type]
+    depth = Observation(COLOR, millimetres / 1000).depth  # type: ignore[arg-type]
+    assert depth is not None
+    assert depth.dtype == np.float32
+
+
 @pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)
 def test_four_corners_are_one_goal_in_any_order(order: tuple[int, ...]) -> None:
     shuffled = SQUARE[list(order)]

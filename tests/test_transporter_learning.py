@@ -315,6 +315,12 @@ def test_symmetries_are_searched_as_far_as_all_have_them():
         assert TransporterRecipe(shown).policy.network.config.symmetry == common
 
 
+def test_demonstrations_have_the_symmetry_that_each_says_unless_all_are_given_one():
+    said = [replace(ATTEMPTS[0], object_symmetry=2), replace(ATTEMPTS[1], object_symmetry=0), ATTEMPTS[2]]
+    assert read_demonstrations(said).symmetry.tolist() == [2, 0, 1]
+    assert read_demonstrations(said, 4).symmetry.tolist() == [4, 4, 4]
+
+
 def test_unfit_demonstrations_are_one_clear_line():
     camera = replace(ATTEMPTS[0], before=Observation(ATTEMPTS[0].before.color))
     other = replace(ATTEMPTS[1], before=replace(ATTEMPTS[1].before, grid=replace(GRID, z=(0.0, 0.5))))
