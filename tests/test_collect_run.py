@@ -362,9 +362,9 @@ def test_one_arm_is_not_shared_by_workers(tmp_path):
 
 
 def test_a_workcell_file_is_read_once(reference, tmp_path, monkeypatch):
-    file, reads, read_text = tmp_path / "cell.yaml", [], Path.read_text
+    file, reads, read = tmp_path / "cell.yaml", [], Path.read_bytes
     file.write_text(f"arm: {{kind: replay, recording: {reference}}}\n")
-    monkeypatch.setattr(Path, "read_text", lambda path, *words: reads.append(path) or read_text(path, *words))
+    monkeypatch.setattr(Path, "read_bytes", lambda path: reads.append(path) or read(path))
     with pytest.raises(BaggieError, match="to describe a workcell with an arm"):  # told when it is opened
         collect(CollectOptions(out=tmp_path / "data", workcell=file))
     assert reads.count(file) == 1
