@@ -87,9 +87,9 @@ class _Handler(BaseHTTPRequestHandler):
                     seed = _whole(words, "seed", lab.seed)
                     lab.call(lambda: lab.reset(seed))
                 case "/bag":
-                    _check_known(words, "x", "y", "yaw")
+                    _check_known(words, "x", "y", "yaw", "undented")
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
-                    undented = bool(_number(words, "undented", 0.0))
+                    undented = _whole(words, "undented", 0, most=1) == 1
                     lab.call(lambda: lab.lay_bag(pose, undented=undented))
                 case "/paddle":
                     _check_known(words, "shown")
