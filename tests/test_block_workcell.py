@@ -252,6 +252,7 @@ def test_the_environment_is_gymnasiums() -> None:
     observation, reward, terminated, truncated, info = env.step(action.to_array().astype(np.float32))
     assert (reward, terminated, truncated) == (1.0, True, False)
     assert info["strict_success"]
+    assert info["is_success"] is True
     assert info["partial_credit"] == 1.0
     np.testing.assert_array_equal(env.render(), observation["color"])
 

@@ -1,29 +1,40 @@
 import errno
 import functools
+import importlib
+import io
 import json
+import math
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+import baggie.collect.help as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
+from baggie.collect.help import Help
 from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
-from baggie.errors import BaggieError, DataError
+from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
-from baggie.processes import stream_in_processes
+from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
+from streaming import stream_here
+
+module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
 
 
 def assert_same(a: Path, b: Path) -> None:
@@ -35,6 +46,12 @@ def assert_same(a: Path, b: Path) -> None:
     for one, other in zip(first, second, strict=True):
         assert np.array_equal(one.before.color, other.before.color)
         assert np.array_equal(one.after.color, other.after.color)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """No process of its own for a collection of few attempts."""
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +99,29 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
+    file, out = tmp_path / "cell.yaml", tmp_path / "data"
+
+    def go_on(written, attempts):
+        file.write_text(written)
+        given = CollectOptions(out=out, attempts=attempts, workers=1, workcell=file)
+        return collect(given, open_fake)["attempts"]
+
+    bag = "arm: sim\nbag: {length_m: 0.13, width_m: 0.13}\n"
+    assert go_on(bag, 1) == 1
+    assert go_on(f"# slower\n{bag}limits: {{max_speed_m_s: 1.3}}\n", 2) == 2
+    for other in (bag.replace("0.13", "0.12"), f"{bag}workspace: {{x: [0.4, 0.6]}}\n"):
+        with pytest.raises(DataError, match="recorded with workcell"):
+            go_on(other, 3)
+    with pytest.raises(DataError, match="recorded with workcell"):
+        collect(CollectOptions(out=out, attempts=3, workers=1), open_fake)
+    settings = out / "attempts/collection.json"
+    content = json.loads(settings.read_text())
+    del content["collection"]["workcell"]  # as an older version wrote it
+    settings.write_text(json.dumps(content))
+    assert go_on(bag, 3) == 3
+
+
 def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
     with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
         collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)
@@ -96,7 +136,7 @@ def test_the_command_goes_on_with_the_same_scenery():
 
 
 @pytest.mark.parametrize(("scenery", "kept"), [("plain", True), ("varied", False)])
-def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, scenery, kept):
+def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, here, scenery, kept):
     collect(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
     assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
@@ -155,7 +195,7 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 def test_killed_twice_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path):
     out = tmp_path / "data"
     for count in (2, 8):
@@ -186,7 +226,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     assert "KeyboardInterrupt" in errors  # the command line turns it into exit status 130
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
     write_all, calls = baggie.data.writer.write_all, []
 
     def full(files, partial):
@@ -205,7 +245,15 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     assert collect(options, open_fake)["attempts"] == 5
 
 
-def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
+def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path, here):
+    (tmp_path / COVERAGE_FILE).mkdir()
+    with pytest.warns(BaggieWarning, match=f"{COVERAGE_FILE} cannot be written"):
+        summary = collect(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
+    assert summary["attempts"] == 2
+    assert "coverage_picture" not in summary
+
+
+def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path, here):
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
         collect(options, open_unhelped)
@@ -214,9 +262,72 @@ def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
     assert dataset.failures[-1] == "lost-bag"
 
 
+def test_a_person_at_the_terminal_is_asked_and_it_goes_on(tmp_path, monkeypatch):
+    laid_back, asked = tmp_path / "laid-back", []
+    monkeypatch.setenv("LAID_BACK", str(laid_back))
+    monkeypatch.setattr(module, "is_attended", lambda: True)
+
+    def help_at_the_second_time(_console, words):
+        asked.append(words)
+        if len(asked) == 2:
+            laid_back.touch()
+        return ""
+
+    monkeypatch.setattr(module, "ask", help_at_the_second_time)
+    options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1)
+    assert collect(options, open_unhelped)["attempts"] == 13
+    assert asked == ["the object is not in sight: put it back into the workspace, then press Enter"] * 2
+
+
+def test_a_person_who_leaves_the_terminal_stops_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "is_attended", lambda: True)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())  # Ctrl-D
+    options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
+    with pytest.raises(BaggieError, match="not in sight"):
+        collect(options, open_unhelped)
+
+
+def test_without_a_terminal_it_waits_as_long_as_told(tmp_path, monkeypatch, capsys):
+    laid_back = tmp_path / "laid-back"
+    monkeypatch.setenv("LAID_BACK", str(laid_back))
+    monkeypatch.setattr(help_module, "LOOK_AGAIN_S", 0.01)
+    options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1, wait=0.002)
+    with pytest.raises(BaggieError, match=r"^collecting stopped: .* the same command goes on$"):
+        collect(options, open_unhelped)
+    assert "Waiting 0.002 minutes" in capsys.readouterr().err
+    laid_back.touch()
+    assert collect(options, open_unhelped)["attempts"] == 13
+
+
+@given(st.integers(0, 600), st.lists(st.integers(1, 40), min_size=100, max_size=100))
+def test_a_wait_lasts_as_long_as_told_and_ends_with_a_look(wait_s, looking_s):
+    now, said = [0], []
+    help_ = Help(None, wait_s, said.append, lambda s: now.append(now[-1] + s), lambda: now[-1])
+    for seconds in looking_s:
+        slept_from = now[-1]
+        if not help_.helped("gone"):
+            break
+        assert slept_from < now[-1] <= wait_s
+        now.append(now[-1] + seconds)
+    assert now[-1] >= wait_s
+    assert len(said) == (wait_s > 0)
+
+
+def test_each_trouble_has_a_wait_of_its_own():
+    now, said = [0.0], []
+    help_ = Help(None, 50.0, said.append, lambda seconds: now.append(now[-1] + seconds), lambda: now[-1])
+    for _ in range(3):
+        assert [help_.helped("gone") for _ in range(3)] == [True, True, False]
+        help_.worked()
+    assert now[-1] == 150.0
+    assert len(said) == 3
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
+        ({"wait": -1.0}, "--wait"),
+        ({"wait": math.nan}, "--wait"),
         ({"task": "juggle"}, "bag-place"),
         ({"attempts": 0}, "attempts"),
         ({"seed": -1}, "seed"),
@@ -228,7 +339,7 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
-def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, reference, monkeypatch, capsys):
+def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, here, reference, monkeypatch, capsys):
     monkeypatch.setenv("FAULTS_LEFT", str(tmp_path / "left"))
     (tmp_path / "left").write_text("1")
     collect(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
@@ -267,6 +378,19 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
+
+
+@pytest.mark.parametrize("symmetry", [4, 2, 0])
+def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, symmetry):
+    from baggie.policies import load_policy
+
+    cell = open_fake(miss_rate=0.0)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    first = next(iter(sit((0, 1))))
+    cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
+    second = next(iter(sit((0, 1))))
+    assert (first.object_symmetry, second.object_symmetry) == (4, symmetry)
 
 
 def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(reference):
@@ -328,8 +452,23 @@ def times(factor: int):
 
 
 def test_processes_stream_every_result():
-    results = stream_in_processes(functools.partial(times, 10), range(7), workers=3)
+    results = stream_in_processes(functools.partial(times, 10), range(7), workers=2)
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
+
+
+def asking():
+    """A worker that asks before it answers."""
+
+    def run(task: int):
+        yield task, ask_parent(f"may I do {task}?")
+
+    return run
+
+
+def test_a_worker_is_answered_by_the_process_that_started_it():
+    answers = stream_in_processes(asking, range(5), workers=2, answer=lambda question: "3" in question)
+    assert dict(answers) == {task: task == 3 for task in range(5)}
+    assert not ask_parent("and here?")
 
 
 def test_errors_in_processes_come_back_as_they_are():

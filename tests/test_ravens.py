@@ -28,7 +28,7 @@ from baggie.data.ravens import (
     pose_to_planar,
     write_episode,
 )
-from baggie.errors import DataError
+from baggie.errors import BaggieWarning, DataError
 from baggie.geometry import PlanarPose, transform_points
 
 FIELDS = ["action", "color", "depth", "info", "reward"]
@@ -215,7 +215,8 @@ def test_episodes_are_read_when_asked_for(copy: Path) -> None:
         (copy / field / "000010-1.pkl").write_bytes(b"no pickle")
         (copy / field / "000002-99.pkl").symlink_to(copy / field / NAME)
         (copy / field / "notes.txt").touch()
-    folder = RavensFolder(copy)
+    with pytest.warns(BaggieWarning, match="notes.txt and 4 more"):
+        folder = RavensFolder(copy)
     assert folder.episode_ids == ((2, 99), (3, 9007), (10, 1))
     assert len(folder) == 3
     assert (folder[-2].number, folder[-2].seed) == (3, 9007)
@@ -229,9 +230,8 @@ def test_episodes_are_read_when_asked_for(copy: Path) -> None:
 def test_what_is_no_such_folder_is_named(copy: Path) -> None:
     assert str(copy / "action" / "action") in refusal(lambda: RavensFolder(copy / "action"))
     (copy / "color" / NAME).rename(copy / "color" / "3-9007.pkl")
-    assert "3-9007.pkl must be named like 000000-9000.pkl" in refusal(lambda: RavensFolder(copy))
-    (copy / "color" / "3-9007.pkl").unlink()
-    assert f"{copy / 'color' / NAME} is missing" in refusal(lambda: RavensFolder(copy))
+    with pytest.warns(BaggieWarning, match="color/3-9007.pkl"):
+        assert f"{copy / 'color' / NAME} is missing" in refusal(lambda: RavensFolder(copy))
 
 
 def test_nothing_wrong_is_written_and_nothing_overwritten(good: Path, tmp_path: Path) -> None:

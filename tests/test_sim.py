@@ -173,10 +173,30 @@ def test_every_action_of_the_environment_is_reached(
 
 def test_a_lost_bag_is_laid_back(cell: SimulatedWorkcell) -> None:
     cell.reset((9,))
-    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3)
+    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3, undented=True)
     assert cell.rescue()
     pose = cell.truth()
     assert cell.settings.workspace.contains(pose.x, pose.y)
+
+
+def test_a_bag_laid_back_keeps_its_dents_unless_it_is_laid_as_new(cell: SimulatedWorkcell) -> None:
+    here = PlanarPose(0.5, 0.1, 0.3)
+
+    def laid(*, undented: bool) -> np.ndarray:
+        cell.world.put_bag(here, undented=undented)
+        cell.world.advance(1.0)
+        return cell.world.bag_points
+
+    cell.world.reset(here)
+    new = cell.world.bag_points
+    from baggie.workcell.primitives import pick
+
+    assert pick(cell.arm, here, cell.settings.handling).held
+    assert cell.rescue()  # as a person would, who does not knead it
+    dented = np.linalg.norm(laid(undented=False) - new, axis=1)
+    undented = np.linalg.norm(laid(undented=True) - new, axis=1)
+    assert dented.max() > 0.002
+    assert undented.max() < 1e-5
 
 
 def test_the_bag_sags_when_held(cell: SimulatedWorkcell) -> None:

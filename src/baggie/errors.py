@@ -5,6 +5,10 @@ class BaggieError(Exception):
     """Something could not be done; the message is one line fit for `error: ...` on a terminal."""
 
 
+class UsageError(BaggieError):
+    """What was asked is out of range, or does not go together; nothing was begun."""
+
+
 class LimitError(BaggieError):
     """A motion would have left the workcell's limits; nothing was sent to the arm."""
 
@@ -29,6 +33,10 @@ class DataError(BaggieError):
     """A file of a recording or a checkpoint is missing, cut off, or of another kind than asked for."""
 
 
+class WriteError(DataError):
+    """A file cannot be written: the disk is full, or it may only be read."""
+
+
 class CalibrationError(BaggieError):
     """A calibration that cannot be trusted, or is of another camera; nothing was saved or used."""
 
@@ -39,3 +47,7 @@ class BumpedError(BaggieError):
 
 class UnsureError(BaggieError):
     """A plan is less sure than the workcell asks for; nothing has moved, and a person is asked."""
+
+
+class BaggieWarning(UserWarning):
+    """Something a user should know that stops nothing; the message is one line fit for `warning: ...` on a terminal."""

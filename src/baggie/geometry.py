@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from baggie.errors import BaggieError
+
 FloatArray = NDArray[np.float64]
 
 
@@ -127,9 +129,16 @@ class Rectangle:
         return min(max(x, self.x_min), self.x_max), min(max(y, self.y_min), self.y_max)
 
     def sample(self, rng: np.random.Generator, margin: float = 0.0) -> FloatArray:
-        """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres."""
+        """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres.
+
+        Raises `BaggieError` where no point is so far from all its edges.
+        """
         low = [self.x_min + margin, self.y_min + margin]
         high = [self.x_max - margin, self.y_max - margin]
+        if low[0] > high[0] or low[1] > high[1]:
+            raise BaggieError(
+                f"expected a rectangle with a point {margin:.2f} m from all its edges, got {self}; make it larger"
+            )
         return rng.uniform(low, high)
 
     def __str__(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from baggie.data import Dataset
 from baggie.geometry import FloatArray, Rectangle
+from baggie.vision.picture_files import write_figure
 
 _CELL_M = 0.05
 
@@ -44,7 +45,10 @@ def coverage(points: FloatArray, area: Rectangle) -> float:
 
 
 def draw_coverage(dataset: Dataset, area: Rectangle, path: Path) -> None:
-    """Save a picture of all picks and places over the workspace, seen from above, the robot at the bottom."""
+    """Save a picture of all picks and places over the workspace, seen from above, the robot at the bottom.
+
+    Raises `WriteError`.
+    """
     from matplotlib.figure import Figure  # noqa: PLC0415 -- worker processes start without it
     from matplotlib.patches import Rectangle as Patch  # noqa: PLC0415
 
@@ -64,4 +68,4 @@ def draw_coverage(dataset: Dataset, area: Rectangle, path: Path) -> None:
     axes.set(aspect="equal", xlabel="y, left of the robot (m)", ylabel="x, in front of the robot (m)")
     axes.set_title(f"{len(dataset)} attempts, {int(succeeded.sum())} succeeded")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    figure.savefig(path, dpi=120)
+    write_figure(path, figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, sho
 from baggie.commissioning.printed import BOARD
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, CameraError
+from baggie.files import write_if_possible
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import parse_target
 
@@ -56,8 +58,8 @@ def calibrate_intrinsics(options: IntrinsicsOptions) -> dict[str, Any]:
     result: dict[str, Any] = {"calibration": str(options.out), **calibration.summary()}
     if calibration.views:
         picture = options.out.with_suffix(".png")
-        draw_coverage(calibration, picture)
-        result["picture"] = str(picture)
+        if write_if_possible(picture, partial(draw_coverage, calibration)):
+            result["picture"] = str(picture)
     result["next"] = "baggie calibrate camera-to-world, image-to-robot or hand-eye, with --intrinsics " + str(
         options.out
     )

@@ -8,13 +8,19 @@
     attempts/index.parquet                        the numbers of all attempts, gathered
     .baggie/                                      the writer's lock, and files not finished yet
 
-Episodes, here LeRobot's, count in order of arrival; attempts carry the number they were given.
+Episodes, here LeRobot's, count in order of arrival; attempts carry the number they were given. A file of another name,
+or in another place than its number's, is not ours: it is passed over and stays.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+
+from baggie.files import only_ours
 
 CHUNK_FILES = 1000
 """Files in one folder, at most; LeRobot's own default."""
@@ -78,19 +84,38 @@ class Layout:
 
     def attempt(self, attempt_id: int) -> Path:
         """Our own record of an attempt."""
-        return self.root / f"attempts/chunk-{attempt_id // CHUNK_FILES:03d}/attempt-{attempt_id:06d}.parquet"
+        return self.root / _attempt_name(attempt_id)
 
     def attempts(self) -> list[Path]:
         """Every attempt's record, by attempt id."""
-        return sorted(self.root.glob("attempts/chunk-*/attempt-*.parquet"), key=attempt_id_of)
+        ours = self._ours("attempts/*/*", lambda _chunk, attempt_id: _attempt_name(attempt_id))
+        return sorted(ours, key=attempt_id_of)
 
     def episodes(self) -> list[Path]:
         """Every description of an episode, in LeRobot's order."""
-        return sorted(self.root.glob("meta/episodes/*/*.parquet"))
+        return sorted(self._ours("meta/episodes/*/*", partial(_lerobot_name, EPISODES_TEMPLATE)))
 
     def frames(self) -> list[Path]:
         """Every file LeRobot takes frames from, in its order."""
-        return sorted(self.root.glob("data/*/*.parquet"))
+        return sorted(self._ours("data/*/*", partial(_lerobot_name, DATA_TEMPLATE)))
+
+    def _ours(self, pattern: str, name: Callable[[int, int], str]) -> list[Path]:
+        """What `pattern` finds and bears the `name` that belongs to the numbers in it; the rest is passed over."""
+
+        def is_ours(path: Path) -> bool:
+            borne = f"{path.parent.name}/{path.name}"
+            numbers = [int(digits) for digits in re.findall(r"\d+", borne)]
+            return len(numbers) == 2 and name(*numbers).endswith(f"/{borne}")
+
+        return only_ours(self.root, self.root.glob(pattern), is_ours)
+
+
+def _attempt_name(attempt_id: int) -> str:
+    return f"attempts/chunk-{attempt_id // CHUNK_FILES:03d}/attempt-{attempt_id:06d}.parquet"
+
+
+def _lerobot_name(template: str, chunk_index: int, file_index: int) -> str:
+    return template.format(chunk_index=chunk_index, file_index=file_index)
 
 
 def chunk_and_file(episode: int) -> dict[str, int]:

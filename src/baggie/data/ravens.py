@@ -30,7 +30,8 @@ from baggie.data.ravens_episode import (
     pose_to_planar,
 )
 from baggie.data.safe_pickle import load_plain, plain_bytes
-from baggie.errors import DataError
+from baggie.errors import DataError, WriteError
+from baggie.files import only_ours
 
 __all__ = [
     "RAVENS_CAMERAS",
@@ -73,7 +74,7 @@ def write_episode(folder: Path | str, episode: RavensEpisode) -> None:
     """Add an episode to a folder, making it where there is none; a kill half-way leaves no part of a file.
 
     What is written is what `RavensFolder` reads, and `pickle.load` under numpy 1 as well as 2. Raises `DataError` when
-    the episode is not as it should be or is there already, or when the disk is full.
+    the episode is not as it should be or is there already, `WriteError` when the disk is full.
     """
     folder = Path(folder)
     paths = _paths(folder, episode.number, episode.seed)
@@ -86,7 +87,7 @@ def write_episode(folder: Path | str, episode: RavensEpisode) -> None:
     try:
         write_all([(path, plain_bytes(value)) for path, value in raw.items()], partial)
     except OSError as error:
-        raise DataError(
+        raise WriteError(
             f"{folder} cannot be written: {error.strerror}; free some space or mend the rights"
         ) from error
     finally:
@@ -122,8 +123,15 @@ def _paths(folder: Path, number: int, seed: int) -> dict[str, Path]:
 
 
 def _listed(folder: Path) -> set[tuple[int, int]]:
-    found = {field: _episodes_in(folder / field) for field in FIELDS}
-    every = set().union(*found.values())
+    for field in FIELDS:
+        if not (folder / field).is_dir():
+            raise DataError(
+                f"{folder / field} is missing: expected the folder of a Ravens task, with {', '.join(FIELDS)} in it"
+            )
+    files = (path for field in FIELDS for path in (folder / field).iterdir())
+    ours = only_ours(folder, files, lambda path: _episode(path.name) is not None)
+    found = {field: {_episode(path.name) for path in ours if path.parent.name == field} for field in FIELDS}
+    every = {episode for episodes in found.values() for episode in episodes if episode is not None}
     for field, episodes in found.items():
         for number, seed in sorted(every - episodes):
             raise DataError(
@@ -133,18 +141,8 @@ def _listed(folder: Path) -> set[tuple[int, int]]:
     return every
 
 
-def _episodes_in(folder: Path) -> set[tuple[int, int]]:
-    if not folder.is_dir():
-        raise DataError(
-            f"{folder} is missing: expected the folder of a Ravens task, with {', '.join(FIELDS)} in it"
-        )
-    episodes = set()
-    for path in folder.glob("*.pkl"):
-        numbers = re.fullmatch(r"([0-9]+)-([0-9]+)\.pkl", path.name)
-        episode = (int(numbers[1]), int(numbers[2])) if numbers else None
-        if episode is None or _name(*episode) != path.name:
-            raise DataError(
-                f"{path} must be named like {_name(0, 9000)} (episode, seed): rename or remove it"
-            )
-        episodes.add(episode)
-    return episodes
+def _episode(name: str) -> tuple[int, int] | None:
+    """Number and seed of the episode whose file is called so; None for another name."""
+    numbers = re.fullmatch(r"([0-9]+)-([0-9]+)\.pkl", name)
+    episode = (int(numbers[1]), int(numbers[2])) if numbers else None
+    return episode if episode is not None and _name(*episode) == name else None

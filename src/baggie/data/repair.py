@@ -55,7 +55,7 @@ def repair(layout: Layout, settings: DatasetSettings) -> Contents:
     # Orphans go last: as long as one is there, a repair that was itself killed is made again.
     if len(numbers) != info["total_frames"] or orphans or not layout.info.exists():
         _describe(layout, settings, contents)
-    remove([*orphans, *layout.partial.glob("*")])
+    remove([*orphans, *layout.partial.glob("[0-9]*-*")])
     return contents
 
 

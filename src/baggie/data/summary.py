@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+import tyro
+from annotated_types import Interval
 
 from baggie.data.contents import DONE
 from baggie.data.dataset import Dataset, open_dataset
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
+from baggie.ranges import Options
 from baggie.types import Attempt, Image, Observation
+from baggie.vision.picture_files import write_picture
 
 _CELL_M = 0.05
 """Side of the squares that coverage counts."""
@@ -24,6 +30,19 @@ _BORDER = 3
 _MARK_M = 0.04
 """Side of the square that shows a pose where no object was found."""
 _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0, 200, 0)
+
+
+@dataclass(frozen=True)
+class InspectOptions(Options):
+    """Which recording, and where to draw."""
+
+    data: tyro.conf.Positional[Path]
+    """The recording's folder."""
+    sheet: Path | None = None
+    """Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that can be
+    written."""
+    columns: Annotated[int, Interval(ge=1, le=1000)] = 6
+    """Attempts in a row of the contact sheet."""
 
 
 def inspect_dataset(root: Path | str) -> dict[str, Any]:
@@ -36,7 +55,6 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
     Raises DataError where there is no dataset.
     """
     dataset = open_dataset(root)
-    files = [path for path in dataset.root.rglob("*") if path.is_file()]
     failures = Counter(failure for failure in dataset.failures if failure is not None)
     return {
         "attempts": len(dataset),
@@ -49,9 +67,18 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "attempt_ids": [int(f(dataset.attempt_ids)) for f in (np.min, np.max)] if len(dataset) else [],
         **_durations(dataset),
         "coverage": _coverage(dataset),
-        "megabytes": round(sum(path.stat().st_size for path in files) / 1e6, 1),
+        "megabytes": round(_size(dataset.root) / 1e6, 1),
         "collection": dict(dataset.collection),
     }
+
+
+def _size(root: Path) -> int:
+    """Bytes of all files; what vanishes meanwhile, as a writer's unfinished ones do, counts as nothing."""
+    total = 0
+    for path in root.rglob("*"):
+        with contextlib.suppress(OSError):
+            total += path.stat().st_size if path.is_file() else 0
+    return total
 
 
 def _episodes(dataset: Dataset) -> dict[str, Any]:
@@ -111,7 +138,8 @@ def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit
 
     The box before (the pick) is blue, the box after (the place) green; in orthographic pictures without boxes, 4 cm
     squares stand for them where it was picked and placed. Failed attempts are framed red and say why. Of more than
-    `limit` attempts, as many are shown, evenly spread. Returns the path. Raises DataError.
+    `limit` attempts, as many are shown, evenly spread. Returns the path. Raises DataError; WriteError
+    where it cannot be written.
     """
     dataset = open_dataset(root)
     if not len(dataset):
@@ -127,11 +155,7 @@ def contact_sheet(root: Path | str, out_png: Path | str, columns: int = 6, limit
         top, left = place // columns * height, place % columns * width
         sheet[top : top + height, left : left + width] = tile
     path = Path(out_png)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]))
-    except OSError as error:
-        raise DataError(f"{path} cannot be written: {error.strerror}") from None
+    write_picture(path, sheet)
     return path
 
 

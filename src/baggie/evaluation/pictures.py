@@ -11,6 +11,7 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.files import write_bytes
 from baggie.geometry import FloatArray
 from baggie.types import Image
 
@@ -130,9 +131,8 @@ def arrow(image: Image, start: FloatArray, end: FloatArray) -> Image:
 
 
 def save_jpeg(path: Path, image: Image) -> None:
-    """Write a JPEG of `(H, W, 3)` RGB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(jpeg(image))
+    """Write a JPEG of `(H, W, 3)` RGB, whole or not at all. Raises `WriteError`."""
+    write_bytes(path, jpeg(image))
 
 
 def jpeg(image: Image) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
@@ -23,10 +23,15 @@ from baggie.evaluation.report_items import (
     BlockEvaluation,
     Evaluation,
     Results,
+    Series,
     Training,
     Validation,
 )
+from baggie.files import only_ours
+from baggie.text_files import read_yaml
 
+_EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
+"""What TensorBoard's writer calls its files: time, machine, process and count."""
 Found = TypeVar("Found", Training, Validation, Evaluation, BlockEvaluation)
 
 
@@ -62,8 +67,15 @@ def gather(folders: Sequence[Path]) -> Results:
         return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
 
     def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
-        """Each under its conditions: a policy is as many rows as there are tests it was put to."""
-        return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        """Each under its conditions: a policy is as many rows as there are tests it was put to. Its first workcell, a
+        simulated one where there is one, goes without saying.
+        """
+        items = [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        items = sorted(items, key=lambda i: i.workcell is not None)
+        first = {i.policy: i.place for i in reversed(items)}
+        return [
+            replace(i, policy=f"{i.policy}, {i.place}") if i.place != first[i.policy] else i for i in items
+        ]
 
     bags = named(evaluations)
     tests = Counter(item.policy for item in [*bags, *named(blocks)])
@@ -92,7 +104,7 @@ def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | N
     for place in places:
         try:
             item = read(place)
-        except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+        except (OSError, DataError, ValueError, KeyError, TypeError) as error:
             raise DataError(f"cannot read the results in {place}: {error!r}; make them again") from error
         if item is not None:
             found.append(item)
@@ -102,13 +114,24 @@ def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | N
 def _training(folder: Path) -> Training | None:
     if (metrics := _finished(folder)) is None:  # or somebody else's config.yaml
         return None
-    config = yaml.safe_load((folder / "config.yaml").read_text())
-    events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
-    scalars = {}
-    for tag in events.Tags()["scalars"]:
-        points = events.Scalars(tag)
-        scalars[tag] = (np.array([p.step for p in points], float), np.array([p.value for p in points], float))
-    return Training(folder, str(config["policy"]), folder.name, metrics, config, scalars)
+    config = read_yaml(folder / "config.yaml")
+    return Training(folder, str(config["policy"]), folder.name, metrics, config, _scalars(folder))
+
+
+def _scalars(folder: Path) -> dict[str, Series]:
+    """What a training logged, by tag. One that went on logs again what came after its last save: that counts."""
+    points: dict[str, dict[int, float]] = {}
+    events = folder.glob("*tfevents*")
+    for path in sorted(only_ours(folder, events, lambda path: bool(_EVENTS.fullmatch(path.name)))):
+        logged = EventAccumulator(str(path), size_guidance={"scalars": 0}).Reload()
+        for tag in logged.Tags()["scalars"]:
+            later = {point.step: point.value for point in logged.Scalars(tag)}
+            earlier = points.get(tag, {})
+            points[tag] = {step: earlier[step] for step in earlier if step < min(later)} | later
+    return {
+        tag: (np.array(list(values), float), np.array(list(values.values()), float))
+        for tag, values in points.items()
+    }
 
 
 def _validation(folder: Path) -> Validation:

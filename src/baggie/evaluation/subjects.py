@@ -6,12 +6,18 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from baggie.collect.options import INSTRUCTIONS
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
+from baggie.sim.tasks import TASKS
 
+_FROM_ABOVE = "transporter"
+"""The policy that looks at height maps, unless it has a camera."""
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
+UNKNOWN = ""
+"""The fingerprint of what is not there."""
 
 
 def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> Policy:
@@ -25,8 +31,13 @@ def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> P
         return load_policy(policy, device)
     if calibration is None:
         raise BaggieError("color-mask needs a calibration: give --calibration a recording of the cell")
-    inside = calibration / CALIBRATION_FOLDER
-    return ColorMaskPolicy.load(inside if inside.is_dir() else calibration)
+    return ColorMaskPolicy.load(calibration_folder(calibration))
+
+
+def calibration_folder(given: Path) -> Path:
+    """Where the calibration of a recording is; `given` may be that folder itself."""
+    inside = given / CALIBRATION_FOLDER
+    return inside if inside.is_dir() else given
 
 
 def config_of(policy: str) -> dict[str, Any]:
@@ -39,14 +50,44 @@ def in_its_cell(policy: str, cell: int) -> bool:
     return bool(config_of(policy).get("cell", cell) == cell)
 
 
+def check_taught(policy: str, task: str) -> None:
+    """Raise `BaggieError` where a policy was taught another task, or looks at other pictures than this one shows."""
+    config = config_of(policy)
+    if not config:
+        return
+    instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
+    words = INSTRUCTIONS | {name: known.instruction for name, known in TASKS.items()}
+    taught = next((name for name in words if words[name] == instruction), task)
+    if taught != task:
+        raise BaggieError(
+            f"expected a policy that was taught {task}, got {policy}, which was taught {taught}; "
+            f"give --task {taught}, or another policy"
+        )
+    from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
+    if from_above != (task in TASKS):
+        looks, needed = ("height maps", "a camera's pictures")[:: 1 if from_above else -1]
+        raise BaggieError(
+            f"expected a policy that looks at {needed} with --task {task}, got {policy}, which looks at {looks}; "
+            "give the --task that it was taught"
+        )
+
+
 def policy_name(policy: str) -> str:
     """What `--policy` names: `keypoint` for the folder or Hub id of such a run, itself for a name."""
     return policy if policy in NAMED else str(config_of(policy)["policy"])
 
 
 def fingerprint(policy: str) -> str:
-    """Changes when a run is trained or exported again: the hash of its weights; empty for what has none."""
-    weights = Path(policy) / (
-        checkpoint.GRAPH if checkpoint.is_exported(Path(policy)) else checkpoint.WEIGHTS
+    """Changes when a run is trained or exported again: the hash of its weights; `UNKNOWN` for what has none."""
+    if policy in NAMED:
+        return UNKNOWN
+    folder = checkpoint.fetch(policy)
+    return fingerprint_of(
+        folder / (checkpoint.GRAPH if checkpoint.is_exported(folder) else checkpoint.WEIGHTS)
     )
-    return hashlib.sha256(weights.read_bytes()).hexdigest()[:16] if weights.exists() else ""
+
+
+def fingerprint_of(*files: Path, besides: bytes = b"") -> str:
+    """Changes when one of the files does: a hash of those there are, `UNKNOWN` where there is none."""
+    contents = [besides, *(path.read_bytes() for path in files if path.exists())]
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16] if any(contents) else UNKNOWN

@@ -13,6 +13,7 @@ from baggie.evaluation.results import provenance, write_json
 from baggie.evaluation.subjects import open_policy
 from baggie.evaluation.validation_pictures import Scene, save_pictures
 from baggie.evaluation.would_count import would_count
+from baggie.ranges import Count, Options
 
 WORST = 10
 CAMERA, HEIGHT_MAPS = "camera", "height maps"
@@ -20,7 +21,7 @@ CAMERA, HEIGHT_MAPS = "camera", "height maps"
 
 
 @dataclass(frozen=True)
-class ValidateOptions:
+class ValidateOptions(Options):
     """Measure pick and place errors on attempts the policy never learned from.
 
     Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
@@ -32,7 +33,7 @@ class ValidateOptions:
     """The recording."""
     out: Path
     """Where metrics.json, predictions.json and pictures/ go."""
-    last: int = 50
+    last: Count = 50
     """For a policy that was not trained: how many successful attempts, from the end, to measure it on."""
     calibration: Path | None = None
     """For `color-mask`: its image-to-robot map. By default the one in the recording's calibration/ folder."""
@@ -50,16 +51,16 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     chosen = held_out(options.policy, dataset, options.last)
-    symmetry = dataset.object_symmetry
     attempts = (dataset[index] for index in chosen.indices)
-    predictions = predict(policy, attempts, len(chosen.indices), symmetry)
+    predictions = predict(policy, attempts, len(chosen.indices))
     counted = would_count(dataset, predictions)
+    symmetries = sorted({prediction.symmetry for prediction in predictions})
     metrics = {
         "policy": policy.name,
         "run": Path(options.policy).name,
         "held_out": {"attempts": len(predictions), "which": chosen.which},
         "pictures": CAMERA if dataset.grid is None else HEIGHT_MAPS,
-        "symmetry": symmetry,
+        "symmetry": symmetries[0] if len(symmetries) == 1 else symmetries,
         **measure(predictions),
         **({"would_count": counted} if counted else {}),
         "provenance": provenance(),

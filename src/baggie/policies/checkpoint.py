@@ -5,6 +5,7 @@ Nothing here needs PyTorch; `weights.py` does.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,8 @@ import huggingface_hub
 import yaml
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
 
-from baggie.errors import DataError
+from baggie.errors import DataError, WriteError
+from baggie.text_files import read_yaml
 
 CONFIG = "config.yaml"
 WEIGHTS = "policy.safetensors"
@@ -58,29 +60,30 @@ def config_bytes(config: Mapping[str, Any]) -> bytes:
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files by name into a folder, which is made, complete or not at all.
 
-    Raises `DataError` when that is impossible: a full disk, no right to write.
+    Raises `WriteError` when that is impossible: a full disk, no right to write.
     """
     from baggie.data.files import write_all  # noqa: PLC0415 -- what only reads needs no pyarrow
 
     partial = folder / ".partial"
     try:
         write_all([(folder / name, content) for name, content in files.items()], partial)
-        partial.rmdir()
     except OSError as error:
-        raise DataError(
+        raise WriteError(
             f"{folder} cannot be written: {error.strerror}; free some space or mend the rights, then run the "
             "same command again"
         ) from None
+    with contextlib.suppress(OSError):  # somebody else's files may be in it
+        partial.rmdir()
 
 
 def read_config(folder: Path) -> dict[str, Any]:
     """The content of `config.yaml`. Raises `DataError` when it is missing or no policy's."""
     path = folder / CONFIG
     try:
-        config = yaml.safe_load(path.read_text())
+        config = read_yaml(path)
     except FileNotFoundError:
         raise DataError(f"{path} is missing: give the folder of a training run that has finished") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+    except (OSError, DataError):
         raise DataError(f"{path} cannot be read: it is damaged; train again or take a copy") from None
     if not isinstance(config, dict) or "policy" not in config:
         raise DataError(f"{path} does not describe a policy: give the folder of a training run")

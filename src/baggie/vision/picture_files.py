@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from PIL import Image as Pillow
 
-from baggie.errors import DataError
+from baggie.errors import BaggieError, DataError
+from baggie.files import only_ours, write_bytes
+from baggie.pictures import as_picture
 from baggie.types import Image
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 _VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
@@ -21,41 +28,39 @@ _FRAMES = 60
 
 
 def write_picture(path: Path, picture: Image) -> None:
-    """Write an RGB picture `(H, W, 3)`, whole or not at all. Raises `DataError` when the disk is full."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write an RGB picture `(H, W, 3)`, whole or not at all. Raises `WriteError` when the disk is full."""
     _, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_bytes(data.tobytes())
-        partial.replace(path)
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be written: {error.strerror}; free some space or mend the rights"
-        ) from error
+    write_bytes(path, data.tobytes())
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a PNG of a figure, 120 dots an inch, whole or not at all. Raises `WriteError` when the disk is full."""
+    content = io.BytesIO()
+    figure.savefig(content, dpi=120)
+    write_bytes(path, content.getvalue())
 
 
 def read_picture(path: Path) -> Image:
     """An RGB picture `(H, W, 3)`, EXIF orientation ignored. Raises `DataError` where there is none."""
     try:
         with Pillow.open(path) as picture:
-            if picture.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip
-                grey = (np.asarray(picture).astype(np.uint32) >> 8).astype(np.uint8)
-                return np.repeat(grey[:, :, None], 3, axis=2)
-            return np.asarray(picture.convert("RGB"), np.uint8)
-    except (OSError, SyntaxError, ValueError) as error:
+            return as_picture(picture)
+    except (BaggieError, OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from None
 
 
 def read_pictures(source: Path) -> Iterator[tuple[str, Image]]:
     """Names and pictures `(H, W, 3)`, all of one size, read as they are asked for.
 
-    A folder's pictures come sorted by name. Of a video at most 60 frames are taken, the sharpest of each stretch. The
-    orientation in a file's EXIF data is ignored: a lens is calibrated in the sensor's own rows and columns.
+    A folder's pictures come sorted by name; hidden ones, such as a Mac leaves, are passed over. Of a video at most 60
+    frames are taken, the sharpest of each stretch. The orientation in a file's EXIF data is ignored: a lens is
+    calibrated in the sensor's own rows and columns.
 
     Raises `DataError` at once where nothing can be read or the sizes differ, and on the way for a file that is cut off.
     """
     if source.is_dir():
-        paths = sorted(path for path in source.iterdir() if path.suffix.lower() in _PICTURES)
+        pictures = (path for path in source.iterdir() if path.suffix.lower() in _PICTURES)
+        paths = sorted(only_ours(source, pictures, lambda path: not path.name.startswith(".")))
         if not paths:
             raise DataError(
                 f"expected pictures (png, jpg, bmp, tiff) in {source}, found none; name their folder"

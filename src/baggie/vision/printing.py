@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, PathPatch
 from matplotlib.path import Path as Outline
 
-from baggie.errors import BaggieError, DataError
+from baggie.errors import BaggieError
+from baggie.files import write_bytes
 from baggie.geometry import FloatArray
 from baggie.types import DrawnStyle
 from baggie.vision.goal_card import CARD_COLOR
@@ -47,7 +48,7 @@ class _Page:
 def print_target(target: Target, path: Path, paper: str = "A4") -> None:
     """Write a target as a PDF at true size, upright or lying as it fits.
 
-    Raises `BaggieError` where it does not fit the paper and `DataError` where the file cannot be written.
+    Raises `BaggieError` where it does not fit the paper and `WriteError` where the file cannot be written.
     """
     _save(draw_target(target, paper), path, target.spec)
 
@@ -61,7 +62,7 @@ def print_goal_card(
 ) -> None:
     """Write a goal card, a square of one colour (RGB) with cut marks, as a PDF at true size.
 
-    Raises `BaggieError` where it does not fit the paper and `DataError` where the file cannot be written.
+    Raises `BaggieError` where it does not fit the paper and `WriteError` where the file cannot be written.
     """
     _save(draw_goal_card(size_m, color, paper, style), path, f"goal card {1000 * size_m:g} mm")
 
@@ -213,12 +214,4 @@ def _save(figure: Figure, path: Path, title: str) -> None:
     with rc_context({"pdf.fonttype": 42}):
         # Without a date, the same target is the same file.
         figure.savefig(content, format="pdf", metadata={"Title": title, "CreationDate": None})
-    partial = path.with_name(path.name + ".partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(content.getvalue())
-        partial.replace(path)
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be written: {error.strerror}; free some space or mend the rights"
-        ) from error
+    write_bytes(path, content.getvalue())

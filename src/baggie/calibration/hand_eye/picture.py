@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from baggie.calibration.hand_eye.result import HandEye
+from baggie.vision.picture_files import write_figure
 
 _FULL = 4.0
 """Bars end at this many times the best method's error; the number beside one says the rest."""
 
 
 def draw_views(result: HandEye, path: Path) -> None:
-    """Save each view's error when left out, with the dropped ones marked, above every method's mean."""
+    """Save each view's error when left out, with the dropped ones marked, above every method's mean.
+
+    Raises `WriteError`.
+    """
     from matplotlib.figure import Figure  # noqa: PLC0415 -- worker processes start without it
 
     names = [name for name, _ in (*result.views, *result.dropped)]
@@ -56,7 +60,7 @@ def draw_views(result: HandEye, path: Path) -> None:
     below.set_xlim(0, 1.1 * end)
     below.invert_yaxis()
     below.set_xlabel("mean error of views left out (mm)")
-    figure.savefig(path, dpi=120)
+    write_figure(path, figure)
 
 
 def _in_order(name: str) -> list[tuple[int, str]]:

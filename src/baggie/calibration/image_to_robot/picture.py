@@ -9,8 +9,8 @@ import numpy as np
 
 from baggie.calibration.image_to_robot.comparison import Comparison, lattice
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.errors import DataError
 from baggie.geometry import FloatArray, Rectangle
+from baggie.vision.picture_files import write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ def draw_residuals(image_to_robot: ImageToRobot, path: Path) -> None:
     """Save a PNG: what each point would be mapped to by a fit to the others, less where it was, enlarged.
 
     The robot is at the bottom, y points left. Shading is the map's own uncertainty at its height, crosses are points
-    that were dropped. Raises `DataError` when it cannot be written.
+    that were dropped. Raises `WriteError` when it cannot be written.
     """
     r = image_to_robot.residuals
     figure, axes = _figure()
@@ -60,13 +60,13 @@ def draw_residuals(image_to_robot: ImageToRobot, path: Path) -> None:
         f"lens {image_to_robot.lens_origin}",
         fontsize=10,
     )
-    _save(figure, path)
+    write_figure(path, figure)
 
 
 def draw_comparison(comparison: Comparison, path: Path) -> None:
     """Save a PNG of the same kind: how far, and which way, the second map places things from where the first does.
 
-    Raises `DataError` when it cannot be written.
+    Raises `WriteError` when it cannot be written.
     """
     figure, axes = _figure()
     difference, area = comparison.difference_mm, _wider(comparison.area)
@@ -94,7 +94,7 @@ def draw_comparison(comparison: Comparison, path: Path) -> None:
         f"{comparison.max_mm:.2f} mm\nmean shift x {x:+.2f} mm, y {y:+.2f} mm",
         fontsize=10,
     )
-    _save(figure, path)
+    write_figure(path, figure)
 
 
 def _figure() -> tuple[Figure, Axes]:
@@ -162,13 +162,3 @@ def _explain(figure: Figure, axes: Axes, area: Rectangle, factor: float) -> None
     words = f"{length_mm:g} mm (arrows {factor:g} times enlarged)"
     axes.text(beside, float(tail[0, 0]), words, va="center", fontsize=9)
     figure.legend(loc="outside lower center", fontsize=9, ncols=4, frameon=False)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be written: {error.strerror}; free some space or mend the rights"
-        ) from error

@@ -9,6 +9,7 @@ import numpy as np
 
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.errors import CalibrationError
+from baggie.vision.picture_files import write_figure
 
 _ARROW = 0.03
 """Of the picture's width: how long a large residual (the 95th percentile) is about drawn."""
@@ -18,7 +19,8 @@ def draw_coverage(calibration: CameraCalibration, path: Path) -> None:
     """Save a picture of all corners, a colour for each view, with enlarged arrows to where they should appear.
 
     Arrows that point all ways are noise; arrows that agree with their neighbours are what the lens model misses.
-    Raises `CalibrationError` for a calibration read from a file, which has no corners.
+    Raises `CalibrationError` for a calibration read from a file, which has no corners, and
+    `WriteError`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415 -- worker processes start without it
 
@@ -47,5 +49,4 @@ def draw_coverage(calibration: CameraCalibration, path: Path) -> None:
         f"views not fitted to; residuals {enlarged:g} times enlarged",
         fontsize=9,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    write_figure(path, figure)
