@@ -132,7 +132,7 @@ def test_a_place_that_no_turn_of_the_wrist_reaches_is_refused_before_the_pick(
 
 def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: SimulatedWorkcell) -> None:
     ways = []
-    for pick_turn, place_yaw in ((0.0, 0.0), (np.pi, 2 * np.pi), (np.pi / 2, -1e6 * np.pi)):
+    for pick_turn, place_yaw in ((0.0, 0.0), (np.pi, 2 * np.pi), (np.pi / 2, -4 * np.pi)):
         cell.reset((12,))
         start = cell.truth()
         goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15, place_yaw)
@@ -288,7 +288,7 @@ def test_inverse_kinematics_inverts_forward_kinematics() -> None:
             assert np.linalg.norm(along - (along @ direction) * direction) < 0.003
 
 
-@given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-(10**8), 10**8))
+@given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-20, 20))
 def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     x: float, y: float, yaw: float, turns: int
 ) -> None:
@@ -306,6 +306,11 @@ def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     if abs(kinematics.turn(path) - shorter) > 0.01:
         wrist = start[6] - shorter  # roughly: the base turns, too
         assert not low[6] + 0.7 < wrist < high[6] - 0.7
+
+
+def test_a_line_to_a_huge_yaw_is_no_longer_than_others() -> None:
+    path = Kinematics(arm_spec().compile(), HOME).line(HOME, ToolPose(0.5, 0.0, 0.2, 1e12))
+    assert len(path) < 100
 
 
 def test_what_is_out_of_reach_is_said_so() -> None:
