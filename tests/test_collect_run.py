@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from baggie.geometry import Rectangle
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
+from streaming import stream_here
 
 module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
 
@@ -44,6 +46,12 @@ def assert_same(a: Path, b: Path) -> None:
     for one, other in zip(first, second, strict=True):
         assert np.array_equal(one.before.color, other.before.color)
         assert np.array_equal(one.after.color, other.after.color)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """No process of its own for a collection of few attempts."""
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +99,29 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
+    file, out = tmp_path / "cell.yaml", tmp_path / "data"
+
+    def go_on(written, attempts):
+        file.write_text(written)
+        given = CollectOptions(out=out, attempts=attempts, workers=1, workcell=file)
+        return collect(given, open_fake)["attempts"]
+
+    bag = "arm: sim\nbag: {length_m: 0.13, width_m: 0.13}\n"
+    assert go_on(bag, 1) == 1
+    assert go_on(f"# slower\n{bag}limits: {{max_speed_m_s: 1.3}}\n", 2) == 2
+    for other in (bag.replace("0.13", "0.12"), f"{bag}workspace: {{x: [0.4, 0.6]}}\n"):
+        with pytest.raises(DataError, match="recorded with workcell"):
+            go_on(other, 3)
+    with pytest.raises(DataError, match="recorded with workcell"):
+        collect(CollectOptions(out=out, attempts=3, workers=1), open_fake)
+    settings = out / "attempts/collection.json"
+    content = json.loads(settings.read_text())
+    del content["collection"]["workcell"]  # as an older version wrote it
+    settings.write_text(json.dumps(content))
+    assert go_on(bag, 3) == 3
+
+
 def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
     with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
         collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)
@@ -105,7 +136,7 @@ def test_the_command_goes_on_with_the_same_scenery():
 
 
 @pytest.mark.parametrize(("scenery", "kept"), [("plain", True), ("varied", False)])
-def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, scenery, kept):
+def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, here, scenery, kept):
     collect(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
     assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
@@ -164,7 +195,7 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 def test_killed_twice_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path):
     out = tmp_path / "data"
     for count in (2, 8):
@@ -195,7 +226,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     assert "KeyboardInterrupt" in errors  # the command line turns it into exit status 130
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
     write_all, calls = baggie.data.writer.write_all, []
 
     def full(files, partial):
@@ -214,7 +245,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     assert collect(options, open_fake)["attempts"] == 5
 
 
-def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
+def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path, here):
     (tmp_path / COVERAGE_FILE).mkdir()
     with pytest.warns(BaggieWarning, match=f"{COVERAGE_FILE} cannot be written"):
         summary = collect(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
@@ -222,7 +253,7 @@ def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
     assert "coverage_picture" not in summary
 
 
-def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
+def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path, here):
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
         collect(options, open_unhelped)
@@ -308,7 +339,7 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
-def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, reference, monkeypatch, capsys):
+def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, here, reference, monkeypatch, capsys):
     monkeypatch.setenv("FAULTS_LEFT", str(tmp_path / "left"))
     (tmp_path / "left").write_text("1")
     collect(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
@@ -347,6 +378,19 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
+
+
+@pytest.mark.parametrize("symmetry", [4, 2, 0])
+def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, symmetry):
+    from baggie.policies import load_policy
+
+    cell = open_fake(miss_rate=0.0)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    first = next(iter(sit((0, 1))))
+    cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
+    second = next(iter(sit((0, 1))))
+    assert (first.object_symmetry, second.object_symmetry) == (4, symmetry)
 
 
 def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(reference):
@@ -408,7 +452,7 @@ def times(factor: int):
 
 
 def test_processes_stream_every_result():
-    results = stream_in_processes(functools.partial(times, 10), range(7), workers=3)
+    results = stream_in_processes(functools.partial(times, 10), range(7), workers=2)
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
 
 

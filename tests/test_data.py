@@ -122,6 +122,7 @@ attempts = st.builds(
     st.none() | st.integers(0, 2**63 - 1),
     st.just(0),
     st.none() | numbers,
+    st.none() | st.integers(0, 8),
 )
 
 

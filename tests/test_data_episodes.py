@@ -191,7 +191,16 @@ def test_after_is_the_next_ones_before(tmp_path: Path) -> None:
     assert dataset[:1].after(0) is None
 
 
-_NEW = ["episode", "step", "reward", "before_grid", "after_grid", "before_height", "after_height"]
+_NEW = [
+    "episode",
+    "step",
+    "reward",
+    "before_grid",
+    "after_grid",
+    "before_height",
+    "after_height",
+    "object_symmetry",
+]
 
 
 @pytest.mark.parametrize("index", ["old", "gone"])
@@ -213,6 +222,20 @@ def test_recordings_from_before_there_were_episodes(tmp_path: Path, index: str) 
             record(tmp_path, [make(5, 0), make(6, 0, 1, 1.0), make(7, None)])
     assert dataset.episodes.tolist() == [-1, -1, 0, 0, -1]
     expect_same(dataset[3], make(6, 0, 1, 1.0))
+
+
+def test_how_an_object_looks_turned_is_said_by_each_attempt_and_by_older_recordings_of_all(
+    tmp_path: Path,
+) -> None:
+    with DatasetWriter(
+        tmp_path, task=TASK, robot_type="drawn", picture_size=SIZE, collection={"object_symmetry": 2}
+    ) as writer:
+        for i, symmetry in enumerate((4, 0, None)):
+            writer.append(dataclasses.replace(make(i, None), object_symmetry=symmetry))
+    dataset = open_dataset(tmp_path)
+    assert [attempt.object_symmetry for attempt in dataset] == [4, 0, 2]
+    said = dataset.numbers()["object_symmetry"]
+    assert np.array_equal(said, [4, 0, np.nan], equal_nan=True)
 
 
 def test_another_column_may_not_be_missing(tmp_path: Path) -> None:

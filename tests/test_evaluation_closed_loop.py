@@ -13,17 +13,21 @@ import numpy as np
 import pytest
 
 from baggie import seeds
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import append_line, read_lines
 from baggie.geometry import PlanarPose
+from baggie.policies import ColorMaskPolicy
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Observation, Outcome
 from baggie.workcell.workcell import WorkcellSettings
 from streaming import stream_here
-from synthetic import WORKSPACE, box_corners
+from synthetic import RED, WORKSPACE, box_corners, to_pixels
 
 SIZE = (320, 180)
 
@@ -209,6 +213,48 @@ def test_another_evaluation_in_the_same_folder_is_refused(tmp_path, in_process):
         evaluate(options(tmp_path, episodes=1, seed=1), open_perfect)
 
 
+def a_calibration(folder, off_px=0.0):
+    """Of the drawn camera, as a recording keeps it."""
+    points = np.array([[x, y, 0.015] for x in (0.4, 0.5, 0.6) for y in (-0.2, 0.0, 0.2)])
+    camera = CameraIdentity("drawn", *SIZE)
+    fitted = ImageToRobot.fit(to_pixels(points, SIZE) + off_px, points, camera)
+    ColorMaskPolicy(fitted, RED).save(folder / CALIBRATION_FOLDER)
+    return folder
+
+
+def test_another_calibration_is_another_evaluation(tmp_path, in_process):
+    one, other = a_calibration(tmp_path / "one"), a_calibration(tmp_path / "other", off_px=5.0)
+
+    def asked(calibration, **changes):
+        given = {"policy": "color-mask", "calibration": calibration, "episodes": 1, "goal": "turned"}
+        return options(tmp_path / "out", **given | changes)
+
+    with pytest.raises(DataError, match="color-mask policy"):  # before anything is written
+        evaluate(asked(tmp_path / "nowhere"), open_perfect)
+    evaluate(asked(one), open_perfect)
+    for given in (other, None):
+        with pytest.raises(BaggieError, match="holds an evaluation with calibration"):
+            evaluate(asked(given), open_perfect)
+    moved = a_calibration(tmp_path / "moved")
+    assert evaluate(asked(moved, episodes=2), open_perfect)["success"]["n"] == 2  # the same one, elsewhere
+
+
+def test_another_device_is_another_evaluation(tmp_path, in_process, monkeypatch):
+    monkeypatch.setattr(module, "check_device", lambda _device: None)
+    evaluate(options(tmp_path, episodes=1), open_perfect)
+    with pytest.raises(BaggieError, match="holds an evaluation with device cpu, not cuda"):
+        evaluate(options(tmp_path, episodes=1, device="cuda"), open_perfect)
+
+
+def test_an_evaluation_of_an_older_version_goes_on_and_is_told_apart_from_then_on(tmp_path, in_process):
+    evaluate(options(tmp_path, episodes=1), open_perfect)
+    path = tmp_path / "evaluation.json"
+    written = json.loads(path.read_text())
+    path.write_text(json.dumps({key: value for key, value in written.items() if key != "device"}))
+    assert evaluate(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
+    assert json.loads(path.read_text()) == written
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -229,6 +275,13 @@ def test_log_gives_back_what_was_written_and_names_a_broken_line(tmp_path):
     for record in records:
         append_line(log, record)
     assert read_lines(log) == records
+    with log.open("a") as file:
+        file.write('{"a": 3, "b')  # somebody is writing it
+    unfinished = log.read_bytes()
+    assert read_lines(log) == records
+    assert log.read_bytes() == unfinished  # and goes on to do so
+    append_line(log, {"a": 4})  # whoever writes knows that nobody else does
+    assert read_lines(log) == [*records, {"a": 4}]
     log.write_text('{"a": 1}\nnonsense\n{"a": 2}\n')
     with pytest.raises(DataError, match="line 2"):
         read_lines(log)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,24 @@ def test_known_errors_are_recovered_and_the_worst_are_shown(tmp_path, recording,
     assert all(
         (out / case[kind]).stat().st_size > 1000 for case in written["worst"] for kind in ("picture", "heat")
     )
+
+
+def test_a_quarter_turn_is_wrong_on_a_long_bag_and_right_on_a_square_or_a_round_one(tmp_path, monkeypatch):
+    """The fake policy's picks are a quarter turn and 0.1 rad off."""
+    said = [4, 2, 0, None]
+    rng = np.random.default_rng(0)
+    with DatasetWriter(tmp_path / "bags", task=TASK, robot_type="drawn", picture_size=SIZE) as writer:
+        for i, symmetry in enumerate(said):
+            writer.append(replace(make_attempt(i, rng, SIZE, depth=False), object_symmetry=symmetry))
+    assert [attempt.object_symmetry for attempt in open_dataset(tmp_path / "bags")] == said
+    monkeypatch.setattr(module, "open_policy", lambda *_: FakePolicy(tmp_path / "bags"))
+    metrics = validate(ValidateOptions("color-mask", tmp_path / "bags", tmp_path / "out"))
+    assert metrics["symmetry"] == [0, 2, 4]
+    predictions = json.loads((tmp_path / "out/predictions.json").read_text())["predictions"]
+    assert [prediction["symmetry"] for prediction in predictions] == [4, 2, 0, 4]
+    off = [prediction["errors"]["truth"]["pick_yaw_error_deg"] for prediction in predictions]
+    tenth = np.degrees(0.1)
+    assert off == pytest.approx([tenth, 90 - tenth, 0, tenth])
 
 
 def test_attempts_without_a_plan_are_counted_and_come_first(tmp_path, recording, monkeypatch):

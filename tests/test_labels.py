@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from baggie.data.annotation import goal_of
+from baggie.data.shape import as_it_is
 from baggie.geometry import PlanarPose
 from baggie.learning.labels import Labels
 from baggie.policies.planar_map import PlanarMap
@@ -118,6 +119,17 @@ def test_long_things_are_told_from_square_ones():
     corners = goal_of(attempts[3]).corners
     longer = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * [1.6, 1.0]
     attempts[3] = replace(attempts[3], box_before=longer)
-    long = Labels.of(attempts, VIEW, PlanarMap()).long
-    assert long[3]
-    assert long.sum() == 1
+    assert Labels.of(attempts, VIEW, PlanarMap()).symmetry.tolist() == [4] * 3 + [2] + [4] * 36
+
+
+def test_what_an_attempt_says_of_its_object_counts_and_not_how_it_looks():
+    attempts = sitting(40)
+    for number, symmetry in ((3, 2), (4, 0), (5, 4)):
+        attempts[number] = replace(attempts[number], object_symmetry=symmetry)
+    corners = attempts[5].box_before
+    longer = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * [1.6, 1.0]
+    attempts[5] = replace(attempts[5], box_before=longer)  # squeezed, say
+    labels = Labels.of(attempts, VIEW, PlanarMap())
+    assert labels.symmetry.tolist() == [4] * 3 + [2, 0] + [4] * 35
+    drawn = [as_it_is(0.3, int(symmetry)).phases for symmetry in labels.symmetry[3:6]]
+    assert drawn == [(1.0, 1.0), (0.0, 0.0), (1.0, 0.0)]

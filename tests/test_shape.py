@@ -36,7 +36,7 @@ def shown(shape: Shape) -> np.ndarray:
 @given(seeds)
 def test_its_middle_stays(seed):
     rng = np.random.default_rng(seed)
-    shape = reshaped(rng, turned(rng, as_it_is(0.0, False), JACOBIAN), JACOBIAN, LONG)
+    shape = reshaped(rng, turned(rng, as_it_is(0.0), JACOBIAN), JACOBIAN, LONG)
     v, u = np.nonzero(shown(shape))
     assert [u.mean(), v.mean()] == pytest.approx(MIDDLE, abs=0.5)
 
@@ -46,7 +46,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
     """Whatever the camera: the phase seen after is the phase seen before, plus that of the turn."""
     rng = np.random.default_rng(seed)
     jacobian = JACOBIAN + rng.normal(0, 2e-4, (2, 2))
-    shape = turned(rng, as_it_is(yaw, True), jacobian)
+    shape = turned(rng, as_it_is(yaw, 2), jacobian)
     angle = math.atan2(shape.linear[1, 0], shape.linear[0, 0])
     before, after = (
         phase.phase_of(torch.tensor(y, dtype=torch.float64), torch.from_numpy(jacobian), phase.LONG).tolist()
@@ -59,7 +59,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
 @given(seeds)
 def test_what_is_long_lies_along_its_yaw(seed):
     rng = np.random.default_rng(seed)
-    shape = turned(rng, reshaped(rng, as_it_is(0.0, False), JACOBIAN, LONG), JACOBIAN)
+    shape = turned(rng, reshaped(rng, as_it_is(0.0), JACOBIAN, LONG), JACOBIAN)
     points = np.argwhere(shown(shape))[:, ::-1].astype(np.float32)
     sides = 1 + np.array(cv2.minAreaRect(points)[1])  # between the outermost pixels' centres
     if shape.round_from is not None:
@@ -69,7 +69,7 @@ def test_what_is_long_lies_along_its_yaw(seed):
     assert len(points) == pytest.approx(max(sides) * min(sides), rel=0.1)
     ratio = max(sides) / min(sides)
     if abs(ratio - LONG) > 0.05:
-        assert shape.long == (ratio > LONG)
+        assert shape.symmetry == (2 if ratio > LONG else 4)
         assert shape.phases == (1.0, float(ratio > LONG))
     if ratio > 1.3:
         _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -79,13 +79,13 @@ def test_what_is_long_lies_along_its_yaw(seed):
 
 def test_what_is_long_stays_long_and_is_not_stretched():
     for seed in range(20):
-        shape = reshaped(np.random.default_rng(seed), as_it_is(0.3, True), JACOBIAN, LONG)
+        shape = reshaped(np.random.default_rng(seed), as_it_is(0.3, 2), JACOBIAN, LONG)
         assert shape.phases == (1.0, 1.0)
         assert shape.linear == pytest.approx(np.eye(2) * shape.linear[0, 0])
 
 
 def test_nothing_is_left_where_it_was():
-    quarter = Shape(0.0, False, np.array([[0.0, -1.0], [1.0, 0.0]]) * 0.8)
+    quarter = Shape(0.0, 4, np.array([[0.0, -1.0], [1.0, 0.0]]) * 0.8)
     picture, mask = with_shape(PICTURE, without_object(PICTURE, MASK), MASK, MIDDLE, quarter)
     bag = find_bag(picture, (200, 40, 40))
     assert bag is not None

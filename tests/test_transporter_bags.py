@@ -18,7 +18,7 @@ from baggie.geometry import PlanarPose, wrap_angle
 from baggie.learning import TrainOptions, train
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves, rigid_move
-from baggie.learning.rectified import rectified, rectifier_for, seen_symmetry, with_turns
+from baggie.learning.rectified import rectified, rectifier_for, with_seen_symmetry, with_turns
 from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy
@@ -132,9 +132,10 @@ def test_most_boxes_say_how_often_a_turn_a_bag_looks_the_same(rectifier):
     square = [rectified(attempt, rectifier) for attempt in ATTEMPTS]
     flat = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
     long = [replace(each, box_before=flat) for each in square]
-    assert seen_symmetry(square) == 4
-    assert seen_symmetry(long) == 2
-    assert seen_symmetry([*square, *long[:3]]) == 4  # squeezed now and then
+    for attempts, symmetry in ((square, 4), (long, 2), ([*square, *long[:3]], 4)):  # squeezed now and then
+        assert {each.object_symmetry for each in with_seen_symmetry(attempts)} == {symmetry}
+    told = [replace(square[0], object_symmetry=0), *long]
+    assert [each.object_symmetry for each in with_seen_symmetry(told)] == [0] + [2] * len(long)
 
 
 # --- what comes of it

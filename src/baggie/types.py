@@ -292,3 +292,6 @@ class Attempt:
     """Which attempt of its episode it is, from 0."""
     reward: float | None = None
     """How much of its episode's task this attempt has done, all of it being 1; None where nobody counts."""
+    object_symmetry: int | None = None
+    """How often a turn what is moved looks the same: 4 a square, 2 a long one, 1 only after a whole turn, 0 at any
+    angle; None where nobody said."""

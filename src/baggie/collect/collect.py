@@ -53,11 +53,11 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     if options.demonstrated:
         return record_demonstrations(options)
     console = Console(stderr=True)
-    opener, robot = what_opens(options)
+    opener, robot, table = what_opens(options)
     simulated = open_cell is None and robot == SIMULATED
     open_cell = open_cell or opener
     patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
-    collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery}
+    collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery, **table}
     with DatasetWriter(
         options.out,
         task=INSTRUCTIONS[options.task],

@@ -105,6 +105,7 @@ def _steps(cell: DemonstratorCell, recording: Recording, number: int) -> Iterato
             time=began,
             episode=number,
             step=step,
+            object_symmetry=cell.task.object_symmetry,
             reward=cell.count(),
         )
         if ends:

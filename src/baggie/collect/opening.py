@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from baggie.collect.cell import CollectorCell
 from baggie.collect.options import CollectedScenery, CollectOptions
@@ -48,13 +48,15 @@ def open_written_cell(written: WorkcellFile, path: Path, number: int) -> Collect
     return cell
 
 
-def what_opens(options: CollectOptions) -> tuple[OpenCell, str]:
-    """What opens the cell that the options say, and what a recording of it says moved. A file is read once, now.
+def what_opens(options: CollectOptions) -> tuple[OpenCell, str, dict[str, Any]]:
+    """What opens the cell that the options say, what a recording of it says moved, and what else it says of the cell.
+
+    A file is read once, now: of it a recording says what lies on the table and where.
 
     Raises `BaggieError` for a file that cannot be used, and where there are more workers than arms.
     """
     if options.workcell is None:
-        return functools.partial(open_simulated_cell, scenery=options.scenery), SIMULATED
+        return functools.partial(open_simulated_cell, scenery=options.scenery), SIMULATED, {}
     from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
     written = read_workcell_file(options.workcell)
@@ -62,7 +64,9 @@ def what_opens(options: CollectOptions) -> tuple[OpenCell, str]:
         raise BaggieError(
             f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
         )
-    return functools.partial(open_written_cell, written, options.workcell), _robot(written)
+    table = written.model_dump(mode="json", include={"bag", "workspace"})
+    opener = functools.partial(open_written_cell, written, options.workcell)
+    return opener, _robot(written), {"workcell": table}
 
 
 def _robot(written: WorkcellFile) -> str:

@@ -101,6 +101,7 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
         cell=recording.cell,
         seed=recording.seed,
         time=time,
+        object_symmetry=turn.cell.settings.object_symmetry,
         truth=Truth(turn.truth_before, truth_after) if turn.truth_before and truth_after else None,
     )
     return fit(attempt, recording.size)

@@ -37,6 +37,7 @@ _NOT_NUMBERS = {
     "before_grid",
     "after_grid",
     "episode",
+    "object_symmetry",
 }
 
 
@@ -93,15 +94,6 @@ class Dataset(Sequence[Attempt]):
         """`(N,)`: the episode each attempt belongs to, -1 where it stands alone."""
         return _numeric(self._numbers["episode"].combine_chunks().fill_null(-1))
 
-    @property
-    def object_symmetry(self) -> int:
-        """How often a turn what is moved looks the same, as the recording says; 0 at any angle.
-
-        Where it does not: 4 for bags, of which no recording says it; 1, none, in height maps, as in training.
-        """
-        unknown = 4 if self.grid is None else 1
-        return int(self.collection.get("object_symmetry", unknown))
-
     @cached_property
     def grid(self) -> Grid | None:
         """The grid of the pictures before, where they are orthographic; None where a camera took them.
@@ -134,6 +126,10 @@ class Dataset(Sequence[Attempt]):
         row = range(len(self))[index]
         path = self._layout.attempt(int(self.attempt_ids[row]))
         record = complete(read_parquet(path), SCHEMA.names, path).to_pylist()[0]
+        if (
+            record["object_symmetry"] is None
+        ):  # an older recording says it, if at all, of all attempts together
+            record["object_symmetry"] = self.collection.get("object_symmetry")
         return to_attempt(record, self._before_png(row), path)
 
     def after(self, index: int) -> Observation | None:
@@ -205,13 +201,15 @@ class Dataset(Sequence[Attempt]):
         Poses (`commanded`, `executed`: `(N, 6)`; `truth_before`, `truth_after`: `(N, 3)`) are metres and
         radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for
         what is not known. `success` is bool; `timings_s.<phase>` holds seconds by phase. `episode` is -1 where an
-        attempt stands alone; `reward` NaN where nobody counts.
+        attempt stands alone; `reward` NaN where nobody counts; `object_symmetry` is each attempt's own, NaN where
+        it says none.
         """
         table = self._numbers
         result = {name: _numeric(table[name]) for name in _LISTED if name not in _NOT_NUMBERS}
         for box in ("box_before", "box_after"):
             result[box] = result[box].reshape(-1, 4, 2)
         result["episode"] = self.episodes
+        result["object_symmetry"] = _numeric(table["object_symmetry"].cast(pa.float64()))
         result["success"] = np.array([failure is None for failure in self.failures], bool)
         timings = [dict(pairs) for pairs in table["timings_s"].to_pylist()]
         for phase in sorted({phase for times in timings for phase in times}):

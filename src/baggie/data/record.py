@@ -75,6 +75,7 @@ _NUMBERS = pa.schema(
         ("reward", pa.float64()),
         ("before_grid", _GRID),
         ("after_grid", _GRID),
+        ("object_symmetry", pa.int64()),
     ]
 )
 _PICTURES = pa.schema(
@@ -94,6 +95,7 @@ _LATER: Mapping[str, int | None] = {
     "after_grid": None,
     "before_height": None,
     "after_height": None,
+    "object_symmetry": None,
 }
 """The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
@@ -184,6 +186,7 @@ def to_record(attempt: Attempt, episode_index: int, histogram: NDArray[np.int32]
         "reward": attempt.reward,
         "before_grid": _grid_record(before.grid),
         "after_grid": _grid_record(after.grid if after else None),
+        "object_symmetry": attempt.object_symmetry,
         "before_depth": encode_depth(before.depth) if before.depth is not None else None,
         "after_color": encode_color(after.color) if after else None,
         "after_depth": encode_depth(after.depth) if after and after.depth is not None else None,
@@ -256,6 +259,7 @@ def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> 
         episode=record["episode"],
         step=record["step"],
         reward=record["reward"],
+        object_symmetry=record["object_symmetry"],
     )
 
 

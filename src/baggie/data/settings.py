@@ -12,6 +12,8 @@ from baggie.data.files import broken, read_json
 from baggie.data.layout import Layout
 from baggie.errors import DataError
 
+_LATER = frozenset({"workcell"})
+"""What older recordings do not say of how they were collected: it is taken to be the same."""
 FORMAT = "baggie-attempts-1"
 """The layout of `attempts/`; changes when a reader of the old one would misread the new."""
 
@@ -65,7 +67,7 @@ class DatasetSettings:
         mine, theirs = _flat(self), _flat(other)
         for key in sorted(mine.keys() | theirs.keys()):
             recorded, asked = mine.get(key), theirs.get(key)
-            if recorded != asked:
+            if recorded != asked and not (key in _LATER and key not in mine):
                 raise DataError(
                     f"{root} was recorded with {key} = {recorded!r}, not {asked!r}: "
                     "go on with the same settings, or record into another folder"

@@ -16,6 +16,8 @@ from baggie.data.appearance import Mask
 from baggie.geometry import FloatArray
 from baggie.types import Image
 
+SQUARE, LONG, ROUND = 4, 2, 0
+"""How often a turn they look the same; a round one at any angle."""
 _TURNED = 0.5
 """The share of objects that are turned."""
 _LARGER, _LONGER = 1.25, 1.8
@@ -28,8 +30,8 @@ class Shape:
 
     yaw: float
     """On the table, radians: of its long sides, where it has any."""
-    long: bool
-    """Whether it is clearly longer than wide."""
+    symmetry: int
+    """How often a turn it looks the same: 4 a square, 2 where it is clearly longer than wide, 0 at any angle."""
     linear: FloatArray
     """`(2, 2)`: offsets from its middle in pixels, as they were -> as they are."""
     round_from: float | None = None
@@ -38,12 +40,12 @@ class Shape:
     @property
     def phases(self) -> tuple[float, float]:
         """How long its phases are, as a square and as a long thing: 1, or 0 where it has no such sides."""
-        return (0.0, 0.0) if self.round_from is not None else (1.0, float(self.long))
+        return (float(self.symmetry != ROUND), float(self.symmetry == LONG))
 
 
-def as_it_is(yaw: float, long: bool) -> Shape:
+def as_it_is(yaw: float, symmetry: int = SQUARE) -> Shape:
     """An object that nothing was done to."""
-    return Shape(yaw, long, np.eye(2))
+    return Shape(yaw, symmetry, np.eye(2))
 
 
 def turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
@@ -63,15 +65,15 @@ def reshaped(rng: np.random.Generator, shape: Shape, jacobian: FloatArray, long_
     What is more than `long_from` times longer than wide is long.
     """
     size = _LARGER ** rng.uniform(-1, 1)
-    if shape.long:
+    if shape.symmetry != SQUARE:
         return replace(shape, linear=size * shape.linear)
     yaw = shape.yaw + rng.integers(2) * math.pi / 2  # either side may become the long one
     direction = _direction(yaw, jacobian)
     if rng.random() < 0.5:
-        return Shape(yaw, False, size * np.eye(2), math.atan2(direction[1], direction[0]))
+        return Shape(yaw, ROUND, size * np.eye(2), math.atan2(direction[1], direction[0]))
     longer = rng.uniform(1.0, _LONGER)
     stretch = (np.eye(2) + (longer - 1) * np.outer(direction, direction)) / longer**0.5
-    return Shape(yaw, longer > long_from, size * stretch)
+    return Shape(yaw, LONG if longer > long_from else SQUARE, size * stretch)
 
 
 def with_shape(

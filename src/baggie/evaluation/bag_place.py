@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -16,8 +18,9 @@ from baggie.evaluation.closed_loop_metrics import measure
 from baggie.evaluation.episode import Episode, run_episode
 from baggie.evaluation.kind import Kind
 from baggie.evaluation.options import EvaluateOptions
+from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.color_mask import CONFIG_FILE
+from baggie.policies.color_mask import CONFIG_FILE, MAP_FILE
 from baggie.seeds import EVALUATION
 
 
@@ -54,8 +57,42 @@ def _note(episode: Episode) -> str:
 
 def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
     raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
-    scenery = {"scenery": options.scenery} if options.workcell is None else {}
-    return {**scenery, "goal": options.goal, **raised, "retries": options.retries}
+    where: dict[str, Any] = {"scenery": options.scenery}
+    if options.workcell is not None:
+        where = {"workcell_says": _says(options.workcell)}
+    return {
+        **where,
+        "goal": options.goal,
+        **raised,
+        "retries": options.retries,
+        "calibration": fingerprint_of(*_maps(options)) or "none given",
+    }
+
+
+def _says(workcell: Path) -> str:
+    """A fingerprint of what a workcell file says, and the calibrations it names, but for where arm and camera are."""
+    from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
+
+    if not workcell.exists():
+        return UNKNOWN
+    written = read_workcell_file(workcell).model_dump(mode="json")
+    for section in (written["arm"], written["camera"] or {}):
+        for address in ("host", "port", "source", "timeout_s"):
+            section.pop(address, None)
+    maps = [workcell.parent / path for path in written.pop("calibrations").values() if path]
+    return fingerprint_of(*maps, besides=json.dumps(written, sort_keys=True).encode())
+
+
+def _maps(options: EvaluateOptions) -> list[Path]:
+    """The files of the calibration that bags are carried by; none where the folder's own is used, or the workcell's."""
+    if options.policy == ColorMaskPolicy.name:
+        if options.calibration is None:
+            return []
+        folder = calibration_folder(options.calibration)
+        ColorMaskPolicy.load(folder)  # refused before anything is written
+        return [folder / CONFIG_FILE, folder / MAP_FILE]
+    of_the_card = card_map(options)
+    return [] if of_the_card is None else [of_the_card]
 
 
 def _card_raised(options: EvaluateOptions, console: Console) -> bool:

@@ -19,7 +19,15 @@ from baggie.evaluation.kind import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.results import provenance, write_json
-from baggie.evaluation.subjects import check_taught, config_of, fingerprint, in_its_cell, policy_name
+from baggie.evaluation.subjects import (
+    UNKNOWN,
+    check_taught,
+    config_of,
+    fingerprint,
+    in_its_cell,
+    policy_name,
+)
+from baggie.policies.learned import check_device
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
 
@@ -40,6 +48,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
     when `out` holds another evaluation; `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
+    check_device(options.device)
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
     console = Console(stderr=True)
     name = policy_name(options.policy)
@@ -103,7 +112,9 @@ def _place(options: EvaluateOptions) -> dict[str, Any]:
 
 
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:
-    """Never mix two evaluations in one folder: the log belongs to one policy and one stream of scenes."""
+    """Never mix two evaluations in one folder: the log belongs to one policy, one stream of scenes, and all else that
+    decides how an episode ends. What an older version did not write down is taken to be the same.
+    """
     path = options.out / "evaluation.json"
     asked = {
         "policy": options.policy,
@@ -111,15 +122,15 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
         "task": options.task,
         "seed": options.seed,
         **_place(options),
+        "device": options.device,
         **conditions,
     }
-    if not path.exists():
-        write_json(path, asked)
-        return
-    found = json.loads(path.read_text())
+    found = json.loads(path.read_text()) if path.exists() else {}
     for key, value in asked.items():
-        if found.get(key) != value:
+        if found.get(key, UNKNOWN) not in (UNKNOWN, value):
             raise BaggieError(
-                f"{options.out} holds an evaluation with {key} {found.get(key)}, not {value}; "
+                f"{options.out} holds an evaluation with {key} {found[key]}, not {value}; "
                 "give another --out, or remove it to start again"
             )
+    if found != found | asked:
+        write_json(path, found | asked)

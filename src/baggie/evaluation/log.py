@@ -6,7 +6,7 @@ import json
 import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, BinaryIO, Self, TypeVar
 
 from baggie.errors import DataError
 
@@ -43,25 +43,35 @@ def read_log(path: Path, kind: type[Kept]) -> list[Kept]:
 
 
 def append_line(path: Path, record: dict[str, Any]) -> None:
-    """Append one record and wait until it is on the disk."""
-    with path.open("ab") as file:
+    """Append one record and wait until it is on the disk.
+
+    A last line without its end was being written when a process was killed: it is cut off first, so that this one
+    starts on a line of its own.
+    """
+    with path.open("a+b") as file:
+        if file.tell() and _last_byte(file) != b"\n":
+            file.seek(0)
+            file.truncate(file.read().rfind(b"\n") + 1)
         file.write((json.dumps(record, allow_nan=False) + "\n").encode())
         file.flush()
         os.fsync(file.fileno())
 
 
+def _last_byte(file: BinaryIO) -> bytes:
+    file.seek(-1, os.SEEK_END)
+    return file.read()
+
+
 def read_lines(path: Path) -> list[dict[str, Any]]:
     """The records of a log, oldest first; none when there is no file.
 
-    A last line without its end was being written when the process was killed: it is cut off the file, so
-    that the next one starts on a line of its own. Raises `DataError` when any other line is no JSON.
+    A last line without its end is left out: it is being written, or was when the process was killed. Nothing is
+    changed. Raises `DataError` when any other line is no JSON.
     """
     if not path.exists():
         return []
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        os.truncate(path, len(whole))
     records = []
     for number, line in enumerate(whole.splitlines(), start=1):
         try:

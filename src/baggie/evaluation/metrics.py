@@ -110,6 +110,16 @@ def within_stated(what: str, errors_cm: Sequence[float], radii_m: Sequence[float
     }
 
 
+def symmetry_of(attempt: Attempt) -> int:
+    """How often a turn what an attempt moved looks the same; 0 at any angle.
+
+    Where nobody said it: 4 in a camera's picture, where it is a bag; 1, none, in a height map, as in training.
+    """
+    if attempt.object_symmetry is not None:
+        return attempt.object_symmetry
+    return 4 if attempt.before.grid is None else 1
+
+
 def references(attempt: Attempt) -> dict[str, PickPlace]:
     """What a plan for an attempt is measured against.
 
@@ -129,12 +139,7 @@ def turn_error_deg(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> f
 
 
 def action_errors(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> dict[str, float]:
-    """How far an action is off; units in the keys. `symmetry`: how often a turn what is moved looks the same.
-
-    Yaws are compared modulo a quarter turn unless it is known, for a long bag too, where half a turn would be right: an
-    attempt does not say which shape its object has, and around a square with soft corners a box may be as long as
-    around a long one.
-    """
+    """How far an action is off; units in the keys. `symmetry`: how often a turn what is moved looks the same."""
     return {
         "pick_error_cm": position_error_cm(planned.pick, right.pick),
         "place_error_cm": position_error_cm(planned.place, right.place),

@@ -12,7 +12,7 @@ from rich.progress import track
 
 from baggie.data.annotation import shown_goal
 from baggie.errors import BaggieError
-from baggie.evaluation.metrics import action_errors, references, summary, within_stated
+from baggie.evaluation.metrics import action_errors, references, summary, symmetry_of, within_stated
 from baggie.geometry import PlanarPose
 from baggie.policies import Policy
 from baggie.types import Attempt, PickPlace, Plan
@@ -67,6 +67,7 @@ class Prediction:
             "pick_within_m": self.pick_within_m,
             "place_within_m": self.place_within_m,
             "message": self.message,
+            "symmetry": self.symmetry,
             "poses": {
                 name: {"pick": pose_list(p.pick), "place": pose_list(p.place)} for name, p in poses.items()
             },
@@ -74,11 +75,8 @@ class Prediction:
         }
 
 
-def predict(policy: Policy, attempts: Iterable[Attempt], total: int, symmetry: int = 4) -> list[Prediction]:
-    """The policy's word on each attempt, each timed; the very first plan is made twice, to warm up.
-
-    `symmetry`: how often a turn what is moved looks the same.
-    """
+def predict(policy: Policy, attempts: Iterable[Attempt], total: int) -> list[Prediction]:
+    """The policy's word on each attempt, each timed; the very first plan is made twice, to warm up."""
     predictions: list[Prediction] = []
     for attempt in track(attempts, "validating", total, console=Console(stderr=True)):
         goal = shown_goal(attempt)
@@ -90,15 +88,18 @@ def predict(policy: Policy, attempts: Iterable[Attempt], total: int, symmetry: i
             except BaggieError as error:
                 message = str(error)
             decision_ms = 1000 * (time.perf_counter() - start)
-        predictions.append(_prediction(attempt, plan, decision_ms, message, symmetry))
+        predictions.append(_prediction(attempt, plan, decision_ms, message))
     return predictions
 
 
-def _prediction(
-    attempt: Attempt, plan: Plan | None, decision_ms: float, message: str, symmetry: int
-) -> Prediction:
+def _prediction(attempt: Attempt, plan: Plan | None, decision_ms: float, message: str) -> Prediction:
     said = Prediction(
-        attempt.attempt_id, None, references(attempt), decision_ms, message=message, symmetry=symmetry
+        attempt.attempt_id,
+        None,
+        references(attempt),
+        decision_ms,
+        message=message,
+        symmetry=symmetry_of(attempt),
     )
     if plan is None:
         return said

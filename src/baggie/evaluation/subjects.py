@@ -16,6 +16,8 @@ _FROM_ABOVE = "transporter"
 """The policy that looks at height maps, unless it has a camera."""
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
+UNKNOWN = ""
+"""The fingerprint of what is not there."""
 
 
 def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> Policy:
@@ -29,8 +31,13 @@ def open_policy(policy: str, calibration: Path | None, device: str = "cpu") -> P
         return load_policy(policy, device)
     if calibration is None:
         raise BaggieError("color-mask needs a calibration: give --calibration a recording of the cell")
-    inside = calibration / CALIBRATION_FOLDER
-    return ColorMaskPolicy.load(inside if inside.is_dir() else calibration)
+    return ColorMaskPolicy.load(calibration_folder(calibration))
+
+
+def calibration_folder(given: Path) -> Path:
+    """Where the calibration of a recording is; `given` may be that folder itself."""
+    inside = given / CALIBRATION_FOLDER
+    return inside if inside.is_dir() else given
 
 
 def config_of(policy: str) -> dict[str, Any]:
@@ -71,8 +78,16 @@ def policy_name(policy: str) -> str:
 
 
 def fingerprint(policy: str) -> str:
-    """Changes when a run is trained or exported again: the hash of its weights; empty for what has none."""
-    weights = Path(policy) / (
-        checkpoint.GRAPH if checkpoint.is_exported(Path(policy)) else checkpoint.WEIGHTS
+    """Changes when a run is trained or exported again: the hash of its weights; `UNKNOWN` for what has none."""
+    if policy in NAMED:
+        return UNKNOWN
+    folder = checkpoint.fetch(policy)
+    return fingerprint_of(
+        folder / (checkpoint.GRAPH if checkpoint.is_exported(folder) else checkpoint.WEIGHTS)
     )
-    return hashlib.sha256(weights.read_bytes()).hexdigest()[:16] if weights.exists() else ""
+
+
+def fingerprint_of(*files: Path, besides: bytes = b"") -> str:
+    """Changes when one of the files does: a hash of those there are, `UNKNOWN` where there is none."""
+    contents = [besides, *(path.read_bytes() for path in files if path.exists())]
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16] if any(contents) else UNKNOWN

@@ -51,16 +51,16 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     chosen = held_out(options.policy, dataset, options.last)
-    symmetry = dataset.object_symmetry
     attempts = (dataset[index] for index in chosen.indices)
-    predictions = predict(policy, attempts, len(chosen.indices), symmetry)
+    predictions = predict(policy, attempts, len(chosen.indices))
     counted = would_count(dataset, predictions)
+    symmetries = sorted({prediction.symmetry for prediction in predictions})
     metrics = {
         "policy": policy.name,
         "run": Path(options.policy).name,
         "held_out": {"attempts": len(predictions), "which": chosen.which},
         "pictures": CAMERA if dataset.grid is None else HEIGHT_MAPS,
-        "symmetry": symmetry,
+        "symmetry": symmetries[0] if len(symmetries) == 1 else symmetries,
         **measure(predictions),
         **({"would_count": counted} if counted else {}),
         "provenance": provenance(),

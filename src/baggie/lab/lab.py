@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -25,6 +26,8 @@ from baggie.workcell.workcell import WorkcellSettings
 
 PORTS = (1337, 1338)
 """Of robot and hand, given by the protocol."""
+WITHIN_M = 2.0
+"""So far from the robot, along x and along y, the bag may be laid: well off the table, and no further."""
 BUSY_S = 0.1
 """A robot that was moved less than this ago is likely to go on."""
 T = TypeVar("T")
@@ -131,8 +134,10 @@ class Lab:
     def reset(self, seed: int) -> None:
         """The scene with this number: the bag anywhere, undented; arm parked, hand open, daylight another.
 
-        Raises `BaggieError` while somebody moves the arm.
+        Raises `BaggieError` while somebody moves the arm, and for what numbers no scene; then nothing has changed.
         """
+        if seed < 0:
+            raise BaggieError(f"expected a scene's number of at least 0, got {seed}")
         if self.fci.moving:
             raise BaggieError(
                 "expected the arm at rest, to reset the scene; somebody moves it: wait until it stops"
@@ -147,7 +152,15 @@ class Lab:
         self.fci.hold()
 
     def lay_bag(self, pose: PlanarPose, *, undented: bool) -> None:
-        """Put the bag somewhere else, as a person would; its dents stay unless `undented`."""
+        """Put the bag somewhere else, as a person would; its dents stay unless `undented`.
+
+        Raises `BaggieError` where no person would.
+        """
+        if not (abs(pose.x) <= WITHIN_M and abs(pose.y) <= WITHIN_M and math.isfinite(pose.yaw)):
+            raise BaggieError(
+                f"expected x and y within {WITHIN_M:g} m of the robot and a finite yaw, got {pose.x:g}, {pose.y:g} and "
+                f"{pose.yaw:g}"
+            )
         self.world.put_bag(pose, undented=undented)
 
     def moment(self) -> Moment:

@@ -11,6 +11,8 @@ POST /fault?name=reflex&after=2.0&seconds=3.0
 from __future__ import annotations
 
 import json
+import math
+import sys
 import threading
 from dataclasses import asdict
 from http import HTTPStatus
@@ -56,6 +58,11 @@ class _Server(ThreadingHTTPServer):
     lab: Lab
     camera: LabCamera
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that hangs up is no news."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
@@ -76,16 +83,20 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             match asked.path:
                 case "/reset":
-                    seed = int(_number(words, "seed", lab.seed))
+                    _check_known(words, "seed")
+                    seed = _whole(words, "seed", lab.seed)
                     lab.call(lambda: lab.reset(seed))
                 case "/bag":
+                    _check_known(words, "x", "y", "yaw")
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
                     undented = bool(_number(words, "undented", 0.0))
                     lab.call(lambda: lab.lay_bag(pose, undented=undented))
                 case "/paddle":
-                    shown = bool(_number(words, "shown"))
+                    _check_known(words, "shown")
+                    shown = _whole(words, "shown", most=1) == 1
                     lab.call(lambda: lab.world.show_paddle(shown))
                 case "/fault":
+                    _check_known(words, "name", "after", "seconds")
                     after, seconds = _number(words, "after", 0.0), _number(words, "seconds", DEFAULT_S)
                     lab.call(lambda: cause(words.get("name", ""), lab, camera, after, seconds))
                 case other:
@@ -135,10 +146,32 @@ def truth(lab: Lab) -> dict[str, Any]:
     }
 
 
+def _check_known(words: dict[str, str], *known: str) -> None:
+    for name in words.keys() - set(known):
+        raise BaggieError(f"expected {' and '.join(known)}, got {name!r}")
+
+
 def _number(words: dict[str, str], name: str, default: float | None = None) -> float:
+    """A finite one."""
     if name not in words and default is not None:
         return default
     try:
-        return float(words[name])
+        if math.isfinite(number := float(words[name])):
+            return number
     except (KeyError, ValueError):
-        raise BaggieError(f"expected a number as {name}, got {words.get(name, 'none')!r}") from None
+        pass
+    raise BaggieError(f"expected a number as {name}, got {words.get(name, 'none')!r}")
+
+
+def _whole(words: dict[str, str], name: str, default: int | None = None, most: int | None = None) -> int:
+    """A whole number of at least 0."""
+    if name not in words and default is not None:
+        return default
+    try:
+        number = int(words[name])
+        if number >= 0 and (most is None or number <= most):
+            return number
+    except (KeyError, ValueError):
+        pass
+    bounds = "of at least 0" if most is None else f"from 0 to {most}"
+    raise BaggieError(f"expected a whole number {bounds} as {name}, got {words.get(name, 'none')!r}")

@@ -72,13 +72,14 @@ class Demonstrations:
 
 
 def read_demonstrations(
-    dataset: Sequence[Attempt], symmetry: int = 1, painted: GoalInput | None = None
+    dataset: Sequence[Attempt], symmetry: int | None = None, painted: GoalInput | None = None
 ) -> Demonstrations:
     """Attempts whose picture before is a height map, the commanded poses as labels.
 
-    `symmetry`: of all that is picked. `painted`: how goals are painted, green patches by default; the task marks one
-    where all attempts' objects were found in the picture after, and none where none was.
-    Raises `DataError` where a picture is a camera's own, grids differ, or only some attempts have a goal.
+    `symmetry`: of all that is picked; as each attempt says unless given, 1 where it does not. `painted`: how goals are
+    painted, green patches by default; the task marks one where all attempts' objects were found in the picture after,
+    and none where none was. Raises `DataError` where a picture is a camera's own, grids differ, or only some attempts
+    have a goal.
     """
     attempts = [dataset[i] for i in range(len(dataset))]
     if not attempts:
@@ -116,8 +117,12 @@ def read_demonstrations(
         np.stack(colors),
         np.stack(heights).astype(np.float32),
         poses,
-        np.full(len(attempts), symmetry, np.int64),
+        np.array([_symmetry(attempt) if symmetry is None else symmetry for attempt in attempts], np.int64),
         grid,
         cell,
         goal_input,
     )
+
+
+def _symmetry(attempt: Attempt) -> int:
+    return 1 if attempt.object_symmetry is None else attempt.object_symmetry

@@ -18,8 +18,9 @@ import torch
 from numpy.typing import NDArray
 
 from baggie.data.annotation import goal_of
+from baggie.data.shape import LONG, SQUARE
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
-from baggie.policies.keypoint_plan import LONG
+from baggie.policies.keypoint_plan import LONG as LONG_FROM
 from baggie.policies.planar_map import PlanarMap
 from baggie.policies.view import View
 from baggie.types import Attempt
@@ -78,8 +79,9 @@ class Labels:
     """`(N,)` radians: of the object at the pick."""
     yaw_weight: FloatArray
     """`(N,)`: 1 where the hand was turned as the object lies in the picture, else 0."""
-    long: NDArray[np.bool_]
-    """`(N,)`: whether the object is clearly longer than wide."""
+    symmetry: NDArray[np.int64]
+    """`(N,)`: how often a turn the object looks the same: as its attempt says, else 2 where its box is clearly longer
+    than wide and 4 where it is not."""
     doubts: list[Doubt]
     """Worst first."""
     pairs: int
@@ -132,7 +134,12 @@ class Labels:
             weight,
             yaw,
             1.0 - (turned > _YAW_AGREES),  # NaN where the object was not seen: nothing speaks against it
-            long,
+            np.array(
+                [
+                    (LONG if is_long else SQUARE) if a.object_symmetry is None else a.object_symmetry
+                    for a, is_long in zip(attempts, long, strict=True)
+                ]
+            ),
             sorted(doubts, key=lambda doubt: -doubt.off_mm),
             len(later),
             disagreement,
@@ -201,4 +208,4 @@ def directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     first, second = length[:, 0::2].sum(axis=1), length[:, 1::2].sum(axis=1)
     longer = np.where((first >= second)[:, None], sides[:, 0], sides[:, 1])
     ratio = np.maximum(first, second) / np.maximum(np.minimum(first, second), 1e-9)
-    return np.arctan2(longer[:, 1], longer[:, 0]), ratio > LONG
+    return np.arctan2(longer[:, 1], longer[:, 0]), ratio > LONG_FROM

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -60,7 +61,8 @@ class Training:
         average = None
         if recipe.average:
             average = AveragedModel(network, multi_avg_fn=_averaging(steps), use_buffers=True)
-        self._state = State(network, optimizer, average)
+        where = f"{accelerator.device.type} with {accelerator.num_processes} processes"
+        self._state = State(network, optimizer, average, where)
         self._state.load(folder)
         self._model, self._optimizer = accelerator.prepare(network, optimizer)
         self._save_now = Every(save_every_s)
@@ -92,22 +94,31 @@ class Training:
             for batch in prefetched(self._batch, range(state.step, self.steps), self._makers):
                 loss, parts = self._step(batch)
                 state.seconds = time.monotonic() - began
-                if not self._accelerator.is_main_process:
-                    continue
-                progress.update(bar, completed=state.step)
-                if state.step % max(1, self.steps // _LOGGED) == 0:
-                    self._log(board, progress, bar, loss, parts)
-                if state.step % max(1, self.steps // _MEASURED) == 0:
-                    self._log_validation(board, judge(self.policy))
-                if interrupted.is_set() or state.step == self.steps or self._save_now():
-                    state.save(self.folder)
-                if interrupted.is_set() and state.step < self.steps:
+                stopped = self._by_any(interrupted) and state.step < self.steps
+                if self._accelerator.is_main_process:
+                    progress.update(bar, completed=state.step)
+                    if state.step % max(1, self.steps // _LOGGED) == 0:
+                        self._log(board, progress, bar, loss, parts)
+                    if state.step % max(1, self.steps // _MEASURED) == 0:
+                        self._log_validation(board, judge(self.policy))
+                    if stopped or state.step == self.steps or self._save_now():
+                        state.save(self.folder)
+                if stopped:
+                    self._accelerator.wait_for_everyone()  # a launcher may end the others as soon as one ends
                     raise KeyboardInterrupt(
                         f"stopped after {state.step} of {self.steps} steps, which are saved in "
                         f"{self.folder}: "
                         "run the same command again to go on"
                     )
         return state.seconds
+
+    def _by_any(self, interrupted: threading.Event) -> bool:
+        """Whether any of the processes was interrupted: all hear of it, and stop after the same step."""
+        if self._accelerator.num_processes == 1:
+            return interrupted.is_set()  # nobody to ask, which a GPU would have to stop for
+        if interrupted.is_set():
+            self._accelerator.set_trigger()
+        return bool(self._accelerator.check_trigger())
 
     def _batch(self, step: int) -> Batch:
         return self.recipe.batch(np.random.default_rng([self.seed, step, self._accelerator.process_index]))

@@ -8,15 +8,16 @@ from typing import Any
 
 from baggie.data.annotation import shown_goal
 from baggie.errors import BaggieError
-from baggie.evaluation.metrics import action_errors, references, summary
+from baggie.evaluation.metrics import action_errors, references, summary, symmetry_of
 from baggie.policies.base import Policy
 from baggie.types import Attempt
 
 
-def measure(policy: Policy, attempts: Sequence[Attempt], symmetry: int = 4) -> dict[str, Any]:
+def measure(policy: Policy, attempts: Sequence[Attempt], symmetry: int | None = None) -> dict[str, Any]:
     """`labels` and `truth`, each a summary by quantity, and how many attempts were `without_plan`.
 
-    `symmetry`: how often a turn what is moved looks the same; yaws are compared modulo that part of a turn.
+    `symmetry`: how often a turn what is moved looks the same, as each attempt says unless given; yaws are compared
+    modulo that part of a turn.
     Attempts for which the policy could not tell have no error; where that is all of them, nor are there summaries.
     """
     errors: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
@@ -27,8 +28,9 @@ def measure(policy: Policy, attempts: Sequence[Attempt], symmetry: int = 4) -> d
         except BaggieError:
             without_plan += 1
             continue
+        same = symmetry_of(attempt) if symmetry is None else symmetry
         for reference, right in references(attempt).items():
-            errors[reference].append(action_errors(action, right, symmetry))
+            errors[reference].append(action_errors(action, right, same))
     summaries = {
         reference: {key: summary([row[key] for row in rows]) for key in rows[0]}
         for reference, rows in errors.items()

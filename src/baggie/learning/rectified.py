@@ -68,13 +68,17 @@ def rectified(attempt: Attempt, rectifier: Rectifier) -> Attempt:
     )
 
 
-def seen_symmetry(attempts: Sequence[Attempt]) -> int:
-    """How often a turn what is picked looks the same, by rectified attempts: 2 where most boxes are long, else 4.
+def with_seen_symmetry(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """Rectified attempts; those that do not say how often a turn their object looks the same told by all their boxes.
 
-    A soft square that was squeezed looks long now and then.
+    2 where most are long, else 4: a soft square that was squeezed looks long now and then.
     """
     _, long = directions(np.stack([attempt.box_before for attempt in attempts]))
-    return 2 if long.mean() > 0.5 else 4
+    seen = 2 if long.mean() > 0.5 else 4
+    return [
+        replace(attempt, object_symmetry=seen) if attempt.object_symmetry is None else attempt
+        for attempt in attempts
+    ]
 
 
 def with_turns(attempts: Sequence[Attempt], rng: np.random.Generator) -> list[Attempt]:
@@ -92,7 +96,7 @@ def _turned(attempt: Attempt, rng: np.random.Generator) -> Attempt:
     pick, place = action.pick, action.place
     if np.isfinite(attempt.box_before).all():
         about = grid.to_pixels(pick.xy)[0]
-        shape = turned(rng, as_it_is(pick.yaw, False), grid.pixel_m * np.eye(2))
+        shape = turned(rng, as_it_is(pick.yaw), grid.pixel_m * np.eye(2))
         mask = object_mask(before.color, attempt.box_before)
         table = without_object(before.color, mask)
         color, _ = with_shape(before.color, table, mask, about, shape)

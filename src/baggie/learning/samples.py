@@ -61,7 +61,7 @@ class Samples:
         """`policy`: says what its network sees, and has its map fitted to the labels."""
         view, to_robot = policy.view, policy.network.to_robot
         self._view, self._goal_input, self._changes = view, policy.goal_input, changes
-        self._yaw, self._long = labels.yaw, labels.long
+        self._yaw, self._symmetry = labels.yaw, labels.symmetry
         self._pictures = np.stack([view.cut(attempt.before.color) for attempt in attempts])
         boxes = [view.to_input(attempt.box_before) for attempt in attempts]
         self._masks = [
@@ -119,7 +119,7 @@ class Samples:
     def _changed(self, rng: np.random.Generator, number: int) -> tuple[Image, Shape]:
         """A picture with its object turned, of another shape or looking otherwise, and the object's shape then."""
         picture, mask, table = self._pictures[number], self._masks[number], self._tables[number]
-        before = shape = as_it_is(float(self._yaw[number]), bool(self._long[number]))
+        before = shape = as_it_is(float(self._yaw[number]), int(self._symmetry[number]))
         if mask is None or table is None:
             return picture, shape
         new_look = rng.random() < self._changes.new_looks

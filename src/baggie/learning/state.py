@@ -27,6 +27,8 @@ class State:
     network: nn.Module
     optimizer: Optimizer
     average: AveragedModel | None
+    where: str = "cpu"
+    """What computes: going on elsewhere would be another training."""
     step: int = 0
     seconds: float = 0.0
     """Spent in training so far, over all runs."""
@@ -34,12 +36,15 @@ class State:
     def save(self, folder: Path) -> None:
         """Write `resume.pt`, complete or not at all. Raises `DataError`."""
         stream = io.BytesIO()
-        content = {"step": self.step, "seconds": self.seconds}
+        content = {"step": self.step, "seconds": self.seconds, "where": self.where}
         torch.save(content | {name: part.state_dict() for name, part in self._parts().items()}, stream)
         write_files(folder, {FILE: stream.getvalue()})
 
     def load(self, folder: Path) -> None:
-        """Take over what `save` wrote; without a file, nothing. Raises `DataError` when it is damaged."""
+        """Take over what `save` wrote; without a file, nothing.
+
+        Raises `DataError` when it is damaged, or was written elsewhere than `where`.
+        """
         path = folder / FILE
         if not path.exists():
             return
@@ -48,10 +53,16 @@ class State:
             for name, part in self._parts().items():
                 part.load_state_dict(content[name])
             self.step, self.seconds = int(content["step"]), float(content["seconds"])
+            where = str(content.get("where", self.where))  # older versions did not say
         except Exception as error:  # a damaged pickle or zip raises nearly anything
             raise DataError(
                 f"{path} cannot be read ({type(error).__name__}): delete {folder} and train again"
             ) from None
+        if where != self.where:
+            raise DataError(
+                f"the training in {folder} was begun on {where}, not on {self.where}: go on there, or give another "
+                "--out"
+            )
 
     def _parts(self) -> dict[str, nn.Module | Optimizer]:
         parts: dict[str, nn.Module | Optimizer] = {"network": self.network, "optimizer": self.optimizer}

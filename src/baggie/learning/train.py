@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ import torch
 from accelerate import Accelerator
 from rich.console import Console
 
-from baggie.data import Dataset, open_dataset
+from baggie.data import open_dataset
 from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import DataError
@@ -27,7 +27,7 @@ from baggie.learning.loop import Training
 from baggie.learning.measure import measure
 from baggie.learning.options import TrainOptions
 from baggie.learning.recipe import Recipe
-from baggie.learning.rectified import from_camera, rectified, rectifier_for, seen_symmetry, with_turns
+from baggie.learning.rectified import from_camera, rectified, rectifier_for, with_seen_symmetry, with_turns
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import RULE, Split
@@ -61,8 +61,6 @@ def train(
     of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
-    if isinstance(recorded, Dataset) and options.symmetry is None:
-        options = replace(options, symmetry=recorded.collection.get("object_symmetry"))
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = recipe.steps if options.steps is None else options.steps
     recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
@@ -80,7 +78,7 @@ def train(
         save_every_s=options.save_every_s,
         accelerator=accelerator,
     )
-    judge = partial(measure, attempts=split.val, symmetry=_compared(options, recorded))
+    judge = partial(measure, attempts=split.val, symmetry=options.symmetry)
     seconds = training.run(judge)
     policy = training.policy
     metrics = {
@@ -99,15 +97,6 @@ def train(
         content = json.dumps(metrics, indent=2, allow_nan=False).encode()
         checkpoint.write_files(options.out, {METRICS: content})  # last: where it is, all is there
     return metrics
-
-
-def _compared(options: TrainOptions, recorded: Sequence[Attempt]) -> int:
-    """How often a turn what is moved looks the same, where yaws are compared."""
-    if options.symmetry is not None:
-        return options.symmetry
-    if isinstance(recorded, Dataset):
-        return recorded.object_symmetry
-    return 4 if from_camera(recorded) else 1
 
 
 def _accelerator(device: str) -> Accelerator:
@@ -131,13 +120,13 @@ def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
 def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> TransporterRecipe:
     painted = GoalInput("painted", options.goal_style, options.goal_color)
     chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw, rearranged=options.rearranged)
-    symmetry, rectifier = options.symmetry, None
+    rectifier = None
     if from_camera(attempts):
         rectifier = rectifier_for(attempts, options.data)
         attempts = [rectified(attempt, rectifier) for attempt in attempts]
-        symmetry = seen_symmetry(attempts) if symmetry is None else symmetry
+        attempts = with_seen_symmetry(attempts)
         attempts = with_turns(attempts, np.random.default_rng(options.seed))
-    shown = read_demonstrations(attempts, 1 if symmetry is None else symmetry, painted)
+    shown = read_demonstrations(attempts, options.symmetry, painted)
     return TransporterRecipe(shown, chosen, rectifier)
 
 
@@ -146,6 +135,7 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     return {
         "data": str(options.data),
         "task": split.train[0].task,
+        "labels": _fingerprint(split.train),
         "seed": options.seed,
         "steps": steps,
         "weights": options.weights,
@@ -159,14 +149,22 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     }
 
 
+def _fingerprint(attempts: Sequence[Attempt]) -> str:
+    """Changes when other attempts were recorded under the same name: a hash of what was done in them."""
+    done = [(attempt.commanded.to_array(), attempt.outcome.executed.to_array()) for attempt in attempts]
+    return hashlib.sha256(np.array(done).tobytes()).hexdigest()[:16]
+
+
 def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerator) -> None:
     """Make the run's folder with its config, or check that an existing one is of this very training."""
     path = options.out / checkpoint.CONFIG
     if path.exists():
-        found = checkpoint.read_config(options.out)
-        # A run begun before runs said so was taught the task of its data, too.
+        found, asked = checkpoint.read_config(options.out), policy.config()
+        # An older version did not write either down: its run was taught the task of its data, too.
         found["training"] = {"task": policy.training["task"], **found.get("training", {})}
-        if found != policy.config():
+        if "labels" not in found["training"]:
+            del asked["training"]["labels"]
+        if found != asked:
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"
             )
