@@ -43,7 +43,6 @@ SQUARE = np.array([[20.0, 30], [60, 32], [58, 72], [18, 70]])
         torch.from_numpy(COLOR),
         torch.from_numpy(COLOR).permute(2, 0, 1) / 255,
     ],
-    ids=range(12),
 )
 def test_the_same_picture_in_any_form(form: Any) -> None:
     seen = Observation(form)
