@@ -119,7 +119,7 @@ def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabC
     assert outcome.success
     assert outcome.grasp_width_m > cell.settings.handling.empty_width_m
     assert outcome.place_z_m < 0.035, "pressed flat: where it only touches the table it topples"
-    assert control.bag_pose().distance(place) < 0.01
+    assert control.bag_pose().distance(place) < 0.015
 
 
 @pytest.mark.slow
