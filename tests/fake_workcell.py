@@ -247,10 +247,16 @@ def open_faulty(cell: int) -> FakeCell:
 
 
 def open_unhelped(cell: int) -> FakeCell:
-    """Loses the bag in its second sitting, and nobody is there."""
+    """Loses the bag in its second sitting, until a person has made the file that the environment names, if it does."""
     fake = open_fake(cell, miss_rate=0.0)
-    reset = fake.reset
+    reset, look, laid_back = fake.reset, fake.look, os.environ.get("LAID_BACK")
     fake.helps = False
+
+    def look_again():
+        fake.hidden = fake.hidden and not (laid_back and Path(laid_back).exists())
+        return look()
+
+    fake.look = look_again
 
     def lose(seed):
         reset(seed)

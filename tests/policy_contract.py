@@ -38,6 +38,27 @@ def check_policy(policy: Policy, observation: Observation, goal: Goal, *, looks_
     again = policy.plan(observation, goal)
     assert np.array_equal(again.action.to_array(), values), "the same picture must give the same plan"
 
+    for form in (
+        observation.color.tolist(),
+        np.dstack([observation.color, np.full(observation.color.shape[:2], 9)]),
+    ):
+        taken = policy.plan(replace(observation, color=form), replace(goal, corners=goal.corners.tolist()))
+        assert np.array_equal(taken.action.to_array(), values), "pictures and corners are taken as they come"
+
+    if looks_at_goal:
+        zigzag = goal.corners[[0, 1, 3, 2]] if len(goal.corners) == 4 else goal.corners
+        same = policy.plan(observation, replace(goal, corners=zigzag)).action.to_array()
+        np.testing.assert_allclose(
+            same, values, atol=1e-6, err_msg="corners in a zigzag are those of the same goal"
+        )
+        for not_an_observation, not_a_goal in (
+            (observation.color, goal),
+            (observation, goal.corners.tolist()),
+        ):
+            with pytest.raises(BaggieError, match=r"expected (an observation|a goal), got") as error:
+                policy.plan(not_an_observation, not_a_goal)  # type: ignore[arg-type]
+            assert "\n" not in str(error.value)
+
     if looks_at_goal:
         width, height = observation.size
         for offset in ([2.0 * width, 0], [0, 2.0 * height], [-2.0 * width, 0]):

@@ -7,7 +7,23 @@ import baggie
 
 ROOT = Path(baggie.__file__).parent
 FLOORS = [
-    {"types", "geometry", "grid", "errors", "seeds", "files", "processes", "progress"},
+    {
+        "errors",
+        "extras",
+        "files",
+        "geometry",
+        "grid",
+        "import_errors",
+        "pictures",
+        "processes",
+        "progress",
+        "ranges",
+        "seeds",
+        "system_libraries",
+        "terminal",
+        "text_files",
+        "types",
+    },
     {"vision", "calibration", "sim"},
     {"policies", "data", "workcell"},
     {"collect", "commissioning", "lab", "learning", "evaluation"},

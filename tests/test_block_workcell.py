@@ -5,6 +5,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError, CameraError
@@ -15,13 +17,15 @@ from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
 from baggie.sim.depth_cameras import DepthRenderer
 from baggie.sim.tasks import TASKS
-from baggie.types import Observation
+from baggie.sim.tasks.layout import REACH
+from baggie.types import Observation, PickPlace
 from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
 from baggie.workcell.camera import Camera
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.height_map_camera import HeightMapCamera
 from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
+from carries import carries_in, check_reached
 
 GRID = Grid()
 
@@ -231,6 +235,14 @@ def test_a_lens_that_cannot_be_rendered_is_one_line() -> None:
         BlockWorld(draw_cell(0), [Block("a")], cameras=[bent])
 
 
+@given(carries_in(REACH), st.sampled_from([1, 2, 4]))
+def test_every_action_of_the_environment_is_reached(
+    pyramid: BlockWorkcell, action: PickPlace, symmetry: int
+) -> None:
+    pyramid.arm.park()
+    check_reached(pyramid, action, symmetry)
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_the_environment_is_gymnasiums() -> None:
     env = gymnasium.make("baggie/AlignBoxCorner-v0", render_mode="rgb_array")
@@ -240,6 +252,7 @@ def test_the_environment_is_gymnasiums() -> None:
     observation, reward, terminated, truncated, info = env.step(action.to_array().astype(np.float32))
     assert (reward, terminated, truncated) == (1.0, True, False)
     assert info["strict_success"]
+    assert info["is_success"] is True
     assert info["partial_credit"] == 1.0
     np.testing.assert_array_equal(env.render(), observation["color"])
 

@@ -10,7 +10,7 @@ from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import machine
-from baggie.collect.machine import MAX_ASKS, MAX_LOOKS, MAX_TRIES, State, Stopped, Turn, run_turn
+from baggie.collect.machine import MAX_LOOKS, MAX_RESCUES, MAX_TRIES, State, Stopped, Turn, run_turn
 from baggie.collect.places import (
     MARGIN_M,
     MIN_DISTANCE_M,
@@ -24,6 +24,7 @@ from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from baggie.commissioning.points import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.processes import nobody
 from baggie.types import Outcome
 from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeCell
@@ -48,12 +49,12 @@ def cell() -> FakeCell:
 def long_turn(image_to_robot: ImageToRobot) -> Turn:
     settings = WorkcellSettings(object_size_m=(0.15, 0.10, 0.03), object_symmetry=2)
     cell = FakeCell(settings, size=SIZE)
-    return Turn(cell, image_to_robot, seeds.generator(0), lambda _question: cell.rescue())
+    return Turn(cell, image_to_robot, seeds.generator(0), nobody)
 
 
 @pytest.fixture
 def turn(cell: FakeCell, image_to_robot: ImageToRobot) -> Turn:
-    return Turn(cell, image_to_robot, seeds.generator(0), lambda _question: cell.rescue())
+    return Turn(cell, image_to_robot, seeds.generator(0), nobody)
 
 
 def seen(turn: Turn) -> Turn:
@@ -217,12 +218,21 @@ def test_recover_looks_again_and_then_asks(turn):
     assert machine.recover(turn) is State.ASK
 
 
-def test_ask_goes_on_when_helped_and_stops_when_not(turn):
-    assert machine.ask(turn) is State.LOOK
-    turn.cell.helps = False
+def test_a_cell_helps_itself_a_few_times_and_then_nobody_does(turn):
+    for _ in range(MAX_RESCUES):
+        assert machine.ask(turn) is State.LOOK
     assert machine.ask(turn) is State.STOPPED
-    turn.cell.helps, turn.asks = True, MAX_ASKS
+    assert turn.cell.rescues == MAX_RESCUES
+
+
+def test_a_person_is_asked_where_the_cell_does_not_help_itself_as_long_as_anybody_answers(turn):
+    answers, asked = [True] * 9, []
+    turn.cell.helps, turn.trouble = False, "the bag is gone"
+    turn.ask = lambda question: asked.append(question) or bool(answers and answers.pop())
+    for _ in range(9):
+        assert machine.ask(turn) is State.LOOK
     assert machine.ask(turn) is State.STOPPED
+    assert asked == ["the bag is gone"] * 10
 
 
 @pytest.mark.parametrize(
@@ -285,7 +295,7 @@ def test_nobody_to_help_stops_with_a_line(turn):
 
 
 def test_a_sitting_is_ten_numbered_attempts(cell, image_to_robot):
-    attempts = list(run_sitting(cell, image_to_robot, RECORDING, 3))
+    attempts = list(run_sitting(cell, image_to_robot, RECORDING, 3, ask=nobody))
     assert [attempt.attempt_id for attempt in attempts] == list(range(30, 40))
     for attempt in attempts:
         assert attempt.before.size == RECORDING.size
@@ -300,7 +310,7 @@ def test_a_sitting_is_ten_numbered_attempts(cell, image_to_robot):
 
 
 def test_long_bags_are_squared_up_along_either_axis(long_turn):
-    attempts = list(run_sitting(long_turn.cell, long_turn.image_to_robot, RECORDING, 2))
+    attempts = list(run_sitting(long_turn.cell, long_turn.image_to_robot, RECORDING, 2, ask=nobody))
     assert all(attempt.outcome.success for attempt in attempts)
     yaws = [math.remainder(attempt.truth.after.yaw, math.pi) for attempt in attempts]
     assert all(abs(math.remainder(yaw, math.pi / 2)) < 0.2 for yaw in yaws)
@@ -308,7 +318,7 @@ def test_long_bags_are_squared_up_along_either_axis(long_turn):
 
 
 def test_boxes_are_in_the_pixels_of_the_recorded_picture(cell, image_to_robot):
-    attempt = next(iter(run_sitting(cell, image_to_robot, RECORDING, 0)))
+    attempt = next(iter(run_sitting(cell, image_to_robot, RECORDING, 0, ask=nobody)))
     pose = attempt.truth.before
     true = cell.camera.project(np.array([[pose.x, pose.y, 0.015]]))[0]
     assert np.linalg.norm(attempt.box_before.mean(axis=0) - ((true + 0.5) / 2 - 0.5)) < 2
@@ -318,12 +328,14 @@ def test_boxes_are_in_the_pixels_of_the_recorded_picture(cell, image_to_robot):
 @given(number=st.integers(0, 1000))
 def test_a_sitting_does_not_depend_on_what_the_cell_did_before(image_to_robot, number):
     fresh, used = FakeCell(size=SIZE), FakeCell(size=SIZE)
-    for _ in zip(range(2), run_sitting(used, image_to_robot, RECORDING, number + 1), strict=False):
+    for _ in zip(
+        range(2), run_sitting(used, image_to_robot, RECORDING, number + 1, ask=nobody), strict=False
+    ):
         pass
     pairs = zip(
         range(2),
-        run_sitting(fresh, image_to_robot, RECORDING, number),
-        run_sitting(used, image_to_robot, RECORDING, number),
+        run_sitting(fresh, image_to_robot, RECORDING, number, ask=nobody),
+        run_sitting(used, image_to_robot, RECORDING, number, ask=nobody),
         strict=False,
     )
     for _, a, b in pairs:
@@ -335,7 +347,7 @@ def test_a_sitting_does_not_depend_on_what_the_cell_did_before(image_to_robot, n
 @pytest.mark.parametrize("failure", ["dropped", "lost-bag", "missed-grasp", "unreachable"])
 def test_each_failure_is_recorded_and_the_sitting_goes_on(cell, image_to_robot, failure):
     repeats = 3 if failure in ("missed-grasp", "unreachable") else 1
-    sitting = run_sitting(cell, image_to_robot, RECORDING, 1)
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
     first = next(sitting)
     cell.script = [failure] * repeats
     second, third = next(sitting), next(sitting)
@@ -349,6 +361,7 @@ def test_an_unmoved_bag_after_a_success_is_a_stall_that_is_asked_about(cell, ima
         cell, image_to_robot, RECORDING, 1, ask=lambda question: questions.append(question) or True
     )
     cell.reset((0,))
+    cell.helps = False
     next(sitting)
     cell.script = ["stalled"]
     assert next(sitting).outcome.failure == "stalled"
@@ -357,7 +370,8 @@ def test_an_unmoved_bag_after_a_success_is_a_stall_that_is_asked_about(cell, ima
 
 
 def test_a_frozen_camera_stalls(cell, image_to_robot):
-    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=lambda _question: False)
+    cell.helps = False
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
     next(sitting)
     cell.frozen = cell.look()
     assert next(sitting).outcome.failure == "stalled"
@@ -365,15 +379,15 @@ def test_a_frozen_camera_stalls(cell, image_to_robot):
         next(sitting)
 
 
-def test_many_failures_in_a_row_stop_it_even_with_help_once(cell, image_to_robot):
+def test_many_failures_in_a_row_stop_it_where_only_the_cell_helps_once(cell, image_to_robot):
     questions = []
     sitting = run_sitting(
-        cell, image_to_robot, RECORDING, 1, ask=lambda question: questions.append(question) or True
+        cell, image_to_robot, RECORDING, 1, ask=lambda question: bool(questions.append(question))
     )
     cell.script = ["dropped"] * 2 * STALL_AFTER
     seen_failures = []
     with pytest.raises(Stopped, match="in a row failed") as caught:
         seen_failures.extend(attempt.outcome.failure for attempt in sitting)
     assert seen_failures == ["dropped"] * (2 * STALL_AFTER)
-    assert len(questions) == 1
+    assert (cell.rescues, len(questions)) == (1, 1)
     assert "\n" not in str(caught.value)

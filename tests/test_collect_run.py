@@ -1,6 +1,9 @@
 import errno
 import functools
+import importlib
+import io
 import json
+import math
 import os
 import re
 import signal
@@ -12,19 +15,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+import baggie.collect.help as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
+from baggie.collect.help import Help
 from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
-from baggie.processes import stream_in_processes
+from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
+
+module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
 
 
 def assert_same(a: Path, b: Path) -> None:
@@ -246,9 +255,72 @@ def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
     assert dataset.failures[-1] == "lost-bag"
 
 
+def test_a_person_at_the_terminal_is_asked_and_it_goes_on(tmp_path, monkeypatch):
+    laid_back, asked = tmp_path / "laid-back", []
+    monkeypatch.setenv("LAID_BACK", str(laid_back))
+    monkeypatch.setattr(module, "is_attended", lambda: True)
+
+    def help_at_the_second_time(_console, words):
+        asked.append(words)
+        if len(asked) == 2:
+            laid_back.touch()
+        return ""
+
+    monkeypatch.setattr(module, "ask", help_at_the_second_time)
+    options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1)
+    assert collect(options, open_unhelped)["attempts"] == 13
+    assert asked == ["the object is not in sight: put it back into the workspace, then press Enter"] * 2
+
+
+def test_a_person_who_leaves_the_terminal_stops_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "is_attended", lambda: True)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())  # Ctrl-D
+    options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
+    with pytest.raises(BaggieError, match="not in sight"):
+        collect(options, open_unhelped)
+
+
+def test_without_a_terminal_it_waits_as_long_as_told(tmp_path, monkeypatch, capsys):
+    laid_back = tmp_path / "laid-back"
+    monkeypatch.setenv("LAID_BACK", str(laid_back))
+    monkeypatch.setattr(help_module, "LOOK_AGAIN_S", 0.01)
+    options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1, wait=0.002)
+    with pytest.raises(BaggieError, match=r"^collecting stopped: .* the same command goes on$"):
+        collect(options, open_unhelped)
+    assert "Waiting 0.002 minutes" in capsys.readouterr().err
+    laid_back.touch()
+    assert collect(options, open_unhelped)["attempts"] == 13
+
+
+@given(st.integers(0, 600), st.lists(st.integers(1, 40), min_size=100, max_size=100))
+def test_a_wait_lasts_as_long_as_told_and_ends_with_a_look(wait_s, looking_s):
+    now, said = [0], []
+    help_ = Help(None, wait_s, said.append, lambda s: now.append(now[-1] + s), lambda: now[-1])
+    for seconds in looking_s:
+        slept_from = now[-1]
+        if not help_.helped("gone"):
+            break
+        assert slept_from < now[-1] <= wait_s
+        now.append(now[-1] + seconds)
+    assert now[-1] >= wait_s
+    assert len(said) == (wait_s > 0)
+
+
+def test_each_trouble_has_a_wait_of_its_own():
+    now, said = [0.0], []
+    help_ = Help(None, 50.0, said.append, lambda seconds: now.append(now[-1] + seconds), lambda: now[-1])
+    for _ in range(3):
+        assert [help_.helped("gone") for _ in range(3)] == [True, True, False]
+        help_.worked()
+    assert now[-1] == 150.0
+    assert len(said) == 3
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
+        ({"wait": -1.0}, "--wait"),
+        ({"wait": math.nan}, "--wait"),
         ({"task": "juggle"}, "bag-place"),
         ({"attempts": 0}, "attempts"),
         ({"seed": -1}, "seed"),
@@ -375,6 +447,21 @@ def times(factor: int):
 def test_processes_stream_every_result():
     results = stream_in_processes(functools.partial(times, 10), range(7), workers=3)
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
+
+
+def asking():
+    """A worker that asks before it answers."""
+
+    def run(task: int):
+        yield task, ask_parent(f"may I do {task}?")
+
+    return run
+
+
+def test_a_worker_is_answered_by_the_process_that_started_it():
+    answers = stream_in_processes(asking, range(5), workers=2, answer=lambda question: "3" in question)
+    assert dict(answers) == {task: task == 3 for task in range(5)}
+    assert not ask_parent("and here?")
 
 
 def test_errors_in_processes_come_back_as_they_are():

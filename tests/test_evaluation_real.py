@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
 from baggie.errors import BaggieError
 from baggie.evaluation import bag_place as closed_loop_of_bags
@@ -15,12 +16,14 @@ from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
+from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
 from baggie.workcell.calibrations import Calibrations
 from fake_workcell import FakeCell
+from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
 
 FILE = Path("cell.yaml")
 
@@ -84,6 +87,26 @@ def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_ca
     assert says(f"{text}bag: {{length_m: 0.13}}\n") != first
     lens.write_text("made: again")
     assert says(text) != first
+
+
+def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
+    run = tmp_path / "run"
+    evaluate(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
+    assert "4 of 4 bags to within 2 cm" in text
+    assert f"color-mask was tried on a real arm ({FILE})" in text
+    assert "Plans against what the camera saw" in text
+    assert "truth" not in text
+
+
+def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+    run = tmp_path / "run"
+    evaluate(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    evaluate(simulated.options(run / "simulated", policy="color-mask", film=0), simulated.open_off_by_25_mm)
+    text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
+    assert f"color-mask, {FILE}" in text
+    assert "0 of 5 bags to within 2 cm" in text  # the page is about the simulated one
+    assert "Plans against the truth or what the camera saw" in text
 
 
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):

@@ -1,6 +1,7 @@
 """An exported policy says what PyTorch says, without PyTorch; what cannot be exported or loaded is one line."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from baggie import Policy
 from baggie.cli import main
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
+from baggie.extras import install_extra
 from baggie.grid import Grid
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
@@ -219,7 +221,7 @@ def without(monkeypatch, module: str) -> None:
 
 def test_without_onnxruntime_one_line_says_what_to_install(exported, monkeypatch):
     without(monkeypatch, "onnxruntime")
-    with pytest.raises(DataError, match=r'pip install "baggie\[deploy\]"') as error:
+    with pytest.raises(DataError, match=re.escape(install_extra("deploy"))) as error:
         load_policy(exported["keypoint"])
     assert "\n" not in str(error.value)
 

@@ -12,6 +12,7 @@ from baggie.geometry import (
     hand_matrix,
     invert_transform,
     is_rigid,
+    nearest_angle,
     wrap_angle,
 )
 
@@ -42,6 +43,19 @@ def test_wrapped_angles_are_the_same_angle_in_one_period(angle: float, period: f
     assert -period / 2 - 1e-12 <= wrapped <= period / 2 + 1e-12
     turns = (angle - wrapped) / period
     assert turns == pytest.approx(round(turns), abs=1e-9)
+
+
+@given(st.floats(-100, 100), st.floats(-4, 4))
+def test_the_nearest_angle_is_the_same_one_within_half_a_turn(angle: float, to: float) -> None:
+    nearest = nearest_angle(angle, to)
+    assert abs(nearest - to) <= math.pi + 1e-9
+    assert math.remainder(nearest - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert nearest == angle or abs(angle - to) >= math.pi
+    assert abs(nearest_angle(1e300, to) - to) <= math.pi + 1e-9
+
+
+def test_half_a_turn_is_said_one_way() -> None:
+    assert nearest_angle(-math.pi, 0.0) == nearest_angle(3 * math.pi, 0.0) == math.pi
 
 
 @given(st.integers(0, 2**31))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import shutil
 import signal
@@ -13,10 +14,14 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import baggie
 from baggie.collect import CollectOptions, collect
@@ -32,8 +37,9 @@ from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera import Camera
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.cameras.opening import open_camera
-from baggie.workcell.workcell import Workcell
+from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
+from carries import carries_in, check_reached
 
 pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
 ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
@@ -109,6 +115,43 @@ def test_the_bag_is_felt_held_carried_and_put_down(cell: Workcell, control: LabC
     assert outcome.success
     assert outcome.grasp_width_m > cell.settings.handling.empty_width_m
     assert control.bag_pose().distance(place) < 0.03
+
+
+@pytest.mark.slow
+def test_a_bag_is_laid_with_the_dents_of_a_grasp_or_as_new(cell: Workcell, control: LabControl) -> None:
+    def area(*, undented: bool) -> float:
+        control.lay_bag(HERE, undented=undented)
+        found = find_bag(cell.look().color, cell.settings.object_color)
+        assert found is not None
+        return float(cv2.contourArea(found.corners.astype(np.float32)))
+
+    new = area(undented=True)
+    assert cell.execute(PickPlace(HERE, HERE)).success
+    assert area(undented=False) > 1.05 * new
+    assert area(undented=True) == pytest.approx(new, rel=0.02)
+
+
+@given(carries_in(WorkcellSettings().workspace), st.sampled_from([1, 2, 4]))
+def test_every_carry_however_it_is_said_is_within_the_wrists_reach(
+    opened: Workcell, action: PickPlace, symmetry: int
+) -> None:
+    opened.arm.park()
+    check_reached(opened, action, symmetry)
+
+
+@pytest.mark.slow
+def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: Workcell, control: LabControl) -> None:
+    ways = []
+    for pick_yaw, place_yaw in ((0.3, 0.0), (0.3 + math.pi, 0.0), (0.3 - 2 * math.pi, math.pi)):
+        control.reset(0)
+        control.lay_bag(replace(HERE, yaw=0.3))
+        cell.arm.park()
+        place = PlanarPose(0.5, 0.2, place_yaw)
+        outcome = cell.execute(PickPlace(replace(HERE, yaw=pick_yaw), place))
+        assert outcome.success
+        assert control.bag_pose().distance(place) < 0.02
+        ways.append(outcome.executed.to_array())
+    np.testing.assert_allclose(ways, np.tile(ways[0], (3, 1)), atol=0.01)
 
 
 def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell, control: LabControl) -> None:
@@ -224,6 +267,7 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         *(f"bag?x=0.5&y=0.1&yaw={wrong}" for wrong in ("nan", "inf", "left")),
         "bag?y=0.1",
         "bag?x=0.5&y=0.1&z=0.2",
+        "bag?x=0.5&y=0.1&undented=nan",
         *(f"reset?seed={wrong}" for wrong in ("nan", "-1", "1e400", "1.5", "9" * 5000, "")),
         *(f"paddle?shown={wrong}" for wrong in ("nan", "2", "-1", "yes")),
         "paddle",

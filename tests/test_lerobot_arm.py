@@ -282,6 +282,6 @@ def test_settings_that_do_not_fit_are_refused(changes: dict[str, Any], message: 
 
 def test_without_lerobot_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "lerobot.robots", None)
-    with pytest.raises(BaggieError, match=r"pip install lerobot") as raised:
+    with pytest.raises(BaggieError, match=r"pip install 'lerobot\[feetech\]'$") as raised:
         open_robot("so101_follower", {"port": "/dev/ttyACM0"})
     assert "\n" not in str(raised.value)

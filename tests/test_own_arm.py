@@ -195,7 +195,7 @@ def test_without_lerobot_a_workcell_file_says_what_to_install(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "lerobot.robots", None)
-    with pytest.raises(BaggieError, match="pip install lerobot"):
+    with pytest.raises(BaggieError, match=r"pip install 'lerobot\[feetech\]'$"):
         baggie.open_workcell(written(folder, SO101))
 
 

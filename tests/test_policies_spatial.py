@@ -85,6 +85,20 @@ def test_fit_without_noise_is_exact_to_a_tenth_of_a_millimetre():
     assert np.linalg.norm(PlanarMap().fit(points, xy, noise_m=1e-5), axis=1).max() < 1e-4
 
 
+@pytest.mark.parametrize("count", [6, 7])
+def test_few_places_said_twice_give_a_plain_map_rather_than_nonsense(count):
+    """As in a short recording, where an object is picked up where it was put down before."""
+    fresh, truth = drawn_pairs(100, 0.0, seed=1)
+    for seed in range(20):
+        points, noisy = drawn_pairs(count, 0.002, seed + 2)
+        twice = np.r_[np.arange(count), np.arange(1, count - 1)]
+        to_robot = PlanarMap()
+        to_robot.fit(points[twice], noisy[twice], noise_m=0.002)
+        with torch.no_grad():
+            off = np.linalg.norm(to_robot(torch.from_numpy(fresh).float()).numpy() - truth, axis=1)
+        assert np.median(off) < 0.02, seed
+
+
 @pytest.mark.parametrize("count", [0, 3])
 def test_too_few_points_for_a_map(count):
     with pytest.raises(DataError, match="at least 4"):

@@ -125,13 +125,6 @@ def test_what_is_drawn_rearranged_breaks_up_what_lay_together():
     assert all(abs(turn) <= 2 * math.pi for turn in turns)
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.5])
-def test_a_share_is_between_none_and_all(tmp_path, share):
-    options = TrainOptions(tmp_path, tmp_path / "run", policy="transporter", rearranged=share)
-    with pytest.raises(BaggieError, match="--rearranged to be a share"):
-        options.check()
-
-
 def test_other_policies_are_not_rearranged(tmp_path):
     with pytest.raises(BaggieError, match="expected no --rearranged"):
         TrainOptions(tmp_path, tmp_path / "run", rearranged=0.5).check()

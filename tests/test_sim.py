@@ -1,13 +1,16 @@
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from baggie.errors import BaggieError, LimitError, ReachError
-from baggie.geometry import PlanarPose, wrap_angle
+from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
 from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import draw_cell
 from baggie.sim.kinematics import Kinematics, quintic
@@ -17,6 +20,8 @@ from baggie.types import PickPlace
 from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
+from baggie.workcell.workcell import WorkcellSettings
+from carries import carries_in, check_reached
 
 
 @pytest.fixture(scope="module")
@@ -112,12 +117,86 @@ def test_an_unreachable_or_forbidden_place_is_refused_before_anything_moves(cell
     assert cell.arm.pose() == before
 
 
+def test_a_place_that_no_turn_of_the_wrist_reaches_is_refused_before_the_pick(
+    cell: SimulatedWorkcell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.reset((8,))
+    wide = Rectangle(0.2, 0.9, -0.7, 0.7)
+    monkeypatch.setattr(cell.arm, "limits", replace(cell.settings.limits, workspace=wide, reach=wide))
+    before = cell.clock()
+    with pytest.raises(ReachError, match=r"cannot reach x 0\.850, y 0\.600, z 0\.200 m"):
+        cell.execute(PickPlace(cell.truth(), PlanarPose(0.85, 0.6)))
+    assert cell.clock() == before
+
+
+def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: SimulatedWorkcell) -> None:
+    ways = []
+    for pick_turn, place_yaw in ((0.0, 0.0), (np.pi, 2 * np.pi), (np.pi / 2, -1e6 * np.pi)):
+        cell.reset((12,))
+        start = cell.truth()
+        goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15, place_yaw)
+        pick = replace(start, yaw=wrap_angle(start.yaw, np.pi / 2) + pick_turn)
+        outcome = cell.execute(PickPlace(pick, goal))
+        assert outcome.success
+        assert cell.truth().distance(goal) < 0.01
+        ways.append([*outcome.executed.to_array(), cell.clock(), *cell.truth().xy])
+    np.testing.assert_allclose(ways, np.tile(ways[0], (3, 1)), atol=5e-4)
+
+
+def test_a_limit_met_on_the_way_to_the_place_puts_the_bag_back(
+    cell: SimulatedWorkcell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.reset((13,))
+    start = cell.truth()
+    goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15)
+    move_to = cell.arm.move_to
+
+    def refuse_the_place(target: ToolPose, speed_m_s: float) -> ToolPose:
+        if target.planar.distance(goal) < 0.01:
+            raise LimitError("the way is too long")
+        return move_to(target, speed_m_s)
+
+    monkeypatch.setattr(cell.arm, "move_to", refuse_the_place)
+    with pytest.raises(LimitError, match="too long"):
+        cell.execute(PickPlace(start, goal))
+    assert cell.truth().distance(start) < 0.02
+    assert cell.world.bag_points[:, 2].max() < 0.06, "it lies on the table"
+
+
+@given(carries_in(WorkcellSettings().workspace), st.sampled_from([1, 2, 4]))
+def test_every_action_of_the_environment_is_reached(
+    cell: SimulatedWorkcell, action: PickPlace, symmetry: int
+) -> None:
+    cell.arm.park()
+    check_reached(cell, action, symmetry)
+
+
 def test_a_lost_bag_is_laid_back(cell: SimulatedWorkcell) -> None:
     cell.reset((9,))
-    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3)
+    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3, undented=True)
     assert cell.rescue()
     pose = cell.truth()
     assert cell.settings.workspace.contains(pose.x, pose.y)
+
+
+def test_a_bag_laid_back_keeps_its_dents_unless_it_is_laid_as_new(cell: SimulatedWorkcell) -> None:
+    here = PlanarPose(0.5, 0.1, 0.3)
+
+    def laid(*, undented: bool) -> np.ndarray:
+        cell.world.put_bag(here, undented=undented)
+        cell.world.advance(1.0)
+        return cell.world.bag_points
+
+    cell.world.reset(here)
+    new = cell.world.bag_points
+    from baggie.workcell.primitives import pick
+
+    assert pick(cell.arm, here, cell.settings.handling).held
+    assert cell.rescue()  # as a person would, who does not knead it
+    dented = np.linalg.norm(laid(undented=False) - new, axis=1)
+    undented = np.linalg.norm(laid(undented=True) - new, axis=1)
+    assert dented.max() > 0.002
+    assert undented.max() < 1e-5
 
 
 def test_the_bag_sags_when_held(cell: SimulatedWorkcell) -> None:
@@ -206,6 +285,26 @@ def test_inverse_kinematics_inverts_forward_kinematics() -> None:
         for q in path:  # the tool stays on the straight line
             along = kinematics.tool_pose(q).xyz - start
             assert np.linalg.norm(along - (along @ direction) * direction) < 0.003
+
+
+@given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-(10**8), 10**8))
+def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
+    x: float, y: float, yaw: float, turns: int
+) -> None:
+    model = arm_spec().compile()
+    kinematics = Kinematics(model, HOME)
+    start = kinematics.line(HOME, ToolPose(0.5, 0.0, 0.2, 1.5))[-1]
+    target = ToolPose(x, y, 0.2, yaw)
+    path = kinematics.line(start, target)
+    same = kinematics.line(start, replace(target, yaw=yaw + 2 * np.pi * turns))
+    assert abs(kinematics.turn(same) - kinematics.turn(path)) < 1e-4
+    assert abs(wrap_angle(kinematics.tool_pose(path[-1]).yaw - yaw)) < 2e-3
+    low, high = model.jnt_range[:7].T
+    assert ((low <= path) & (path <= high)).all()
+    shorter = wrap_angle(yaw - 1.5)
+    if abs(kinematics.turn(path) - shorter) > 0.01:
+        wrist = start[6] - shorter  # roughly: the base turns, too
+        assert not low[6] + 0.7 < wrist < high[6] - 0.7
 
 
 def test_what_is_out_of_reach_is_said_so() -> None:

@@ -191,6 +191,22 @@ def rim_points() -> FloatArray:
     return np.asarray(CUP_RADIUS_M * np.c_[np.cos(angles), np.sin(angles)])
 
 
+def test_what_is_fixed_can_be_moved_though_blocks_sleep(world: BlockWorld, arm: SuctionArm) -> None:
+    world.advance(1.0)
+    assert (world.data.tree_asleep >= 0).any()
+    camera = world.model.camera("top").id
+    world.bump_camera(np.array([0.01, -0.02, 0.03]), np.array([0.0, 0.1, 0.0]))
+    np.testing.assert_allclose(world.data.cam_xpos[camera], world.cell.camera_position, atol=1e-12)
+    right, up, back = world.data.cam_xmat[camera].reshape(3, 3).T
+    np.testing.assert_allclose(np.c_[right, -up, -back], world.cell.camera_rotation, atol=1e-9)
+    table = world.model.geom("table")
+    table.contype[:] = table.conaffinity[:] = 0  # whatever lay on it
+    world.update_fixed()
+    world.advance(0.1)
+    table.contype[:] = table.conaffinity[:] = 1  # for the tests that come after
+    assert max(world.pose(name)[2, 3] for name in world.blocks) < 0.0
+
+
 def test_bad_names_are_said_so(world: BlockWorld) -> None:
     with pytest.raises(BaggieError, match="name of its own"):
         BlockWorld(draw_cell(0), [Block("a"), Block("a")])

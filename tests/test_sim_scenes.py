@@ -188,9 +188,17 @@ def test_a_lost_bag_is_laid_back_clear_of_the_second(two_bags: SimulatedWorkcell
     second = two_bags.second_truth()
     assert second is not None
     assert two_bags.truth().distance(second) > 0.175  # laid 18 cm apart, and settled
-    two_bags.world.put_bag(PlanarPose(0.0, 0.6), height=0.1)
+    two_bags.world.put_bag(PlanarPose(0.0, 0.6), height=0.1, undented=True)
     assert two_bags.rescue()
     assert two_bags.truth().distance(second) > 0.15
+
+
+def test_laid_as_new_a_bag_leaves_the_other_its_dents(two_bags: SimulatedWorkcell) -> None:
+    two_bags.reset((2,))
+    dents = two_bags.world.data.plastic
+    dents[:] = 0.3
+    two_bags.world.put_bag(PlanarPose(0.0, 0.6), undented=True)
+    assert (np.count_nonzero(dents), len(dents)) == (96, 192)
 
 
 def test_the_second_bag_stays_when_the_first_is_moved(two_bags: SimulatedWorkcell) -> None:
@@ -223,7 +231,7 @@ def test_a_plain_cell_has_nothing_else_on_it_and_can_be_bumped_as_no_other(
 def test_what_stands_stops_a_bag_and_what_lies_does_not() -> None:
     def height_of_a_bag_laid_on(thing: Distractor) -> float:
         world = World(draw_cell(0), distractors=[thing])
-        world.put_bag(thing.pose, height=0.12)
+        world.put_bag(thing.pose, height=0.12, undented=True)
         world.advance(1.0)
         mujoco.mj_forward(world.model, world.data)
         return float(world.bag_points[:, 2].max())

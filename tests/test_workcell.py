@@ -21,7 +21,7 @@ from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.real import RealWorkcell
 from baggie.workcell.workcell import WorkcellSettings
-from baggie.workcell.workcell_file import FrankaEntry, read_workcell_file
+from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
 
 SETTINGS = WorkcellSettings()
@@ -294,7 +294,7 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ),
         ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
         ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),
-        ("camera: {}\narm: true\n", r"line 2: arm: .*, got True; change it"),
+        ("camera: {}\narm: true\n", r"line 2: arm: .*, got true; change it"),
         ("cell: 1\narm: ur5\n", r"line 2: arm: .*'ur5' .* 'sim', 'replay', 'franka'"),
         ("arm: replay\n", r"line 1: arm\.recording: Field required"),
         (f"{FRANKA}  port: 2\n", r"line 4: arm\.port: .* give one of kind, host, model, speed, realtime"),
@@ -313,13 +313,84 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
             "limits:\n  z_min_m: 0.02\n",
             r"pick_z_m and place_z_m are 0\.014 and 0\.024, .* no less than 0\.02",
         ),
-        ("cell: [", "is no YAML"),
+        ("cell: [", r"cell\.yaml is no YAML, line 1: .*; mend it there"),
+        ("cell: 1\n\ncell: 2\n", r"line 3: the key 'cell' stands there twice; mend it there"),
+        (
+            "bag: {color: [1, 2, 3], mass_kg: 0.1, color: [3, 2, 1]}\n",
+            r"line 1: the key 'color' stands there twice",
+        ),
+        ("", r"expected entries such as `arm: sim` in .*cell\.yaml, got nothing; `baggie workcell new`"),
+        ("# arm: sim\n", r"got nothing"),
+        ("{}\n", r"got nothing"),
+        ("- arm\n", r"expected entries such as `arm: sim` in .*, got a list"),
+        ("sim\n", r"got a str"),
+        (
+            "workspace:\n  x: [350, 650]\n",
+            r"line 2: workspace\.x\.0: expected metres, at most 5, got 350; .* thousandth",
+        ),
+        ("workspace:\n  y: [-30, 30]\n", r"workspace\.y\.0: expected metres, at most 5, got -30"),
+        ("workspace: {x: [.nan, .inf]}\n", r"workspace\.x\.0: .*finite number, got \.nan"),
+        ("limits: {z_max_m: 700}\n", r"limits\.z_max_m: expected metres, at most 5, got 700"),
+        ("limits: {max_speed_m_s: 1200}\n", r"max_speed_m_s: .*less than or equal to 5, got 1200"),
+        ("limits: {max_contact_force_n: .inf}\n", r"finite number, got \.inf"),
+        (
+            "handling: {travel_z_m: 200}\n",
+            r"handling\.travel_z_m is 200, the limits allow 0\.012 to 0\.7; change it",
+        ),
+        ("handling: {pick_z_m: .nan}\n", r"handling\.pick_z_m: .*finite number, got \.nan"),
+        ("bag: {color: [300, 0, -5]}\n", r"bag\.color\.0: .*less than or equal to 255, got 300"),
+        ("bag: {color: [30, 0, -5]}\n", r"bag\.color\.2: .*greater than or equal to 0, got -5"),
+        (f"{FRANKA}camera: {{size: [640, 0]}}\n", r"camera\.size\.1: .*greater than 0, got 0"),
+        (
+            f"{FRANKA}camera: {{source: 1.10}}\n",
+            r"camera\.source: .*valid string, got 1\.10; put it in quotes",
+        ),
+        (f"{FRANKA}camera: {{source: no}}\n", r"camera\.source: .*valid string, got no; put it in quotes"),
+        ("1: 2\n", r"line 1: 1: .*"),
     ],
 )
 def test_a_wrong_workcell_file_names_the_entry(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     with pytest.raises(BaggieError, match=message):
+        read_workcell_file(path)
+
+
+@pytest.mark.parametrize(
+    "written", ["0", "043422070123", "4769476691", "12:30:45", "1e5", "0x1F", "2026-01-31", "1_000"]
+)
+def test_a_camera_is_called_what_is_written_with_quotes_or_without(tmp_path: Path, written: str) -> None:
+    path = tmp_path / "cell.yaml"
+    for quoted in (written, f"'{written}'", f'"{written}"'):
+        path.write_text(f"{FRANKA}camera: {{kind: realsense, source: {quoted}}}\n")
+        assert read_workcell_file(path).camera == CameraSettings(kind="realsense", source=written)
+        path.write_text(f"{FRANKA}camera: {{kind: opencv, source: {quoted}}}\n")
+        assert read_workcell_file(path).camera == CameraSettings(source=written)
+    assert CameraSettings(source=0) == CameraSettings(source="0")  # type: ignore[arg-type]
+
+
+def test_a_name_of_digits_is_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(
+        f"arm: {{kind: lerobot, type: so101_follower, id: 007, model: a.urdf, park: [{'0, ' * 5}]}}\ncamera: 0\n"
+    )
+    arm = read_workcell_file(path).arm
+    assert isinstance(arm, LeRobotEntry)
+    assert arm.id == "007"
+
+
+def test_a_workcell_file_in_another_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        path.write_text("# Küche\ncell: 3\n", encoding)
+        assert read_workcell_file(path).cell == 3
+    path.write_text("cell: 3\n# Küche\n", "latin-1")
+    with pytest.raises(
+        BaggieError, match=r"cell\.yaml is no text in UTF-8: byte 0xfc in line 2 .*; save it as UTF-8"
+    ):
+        read_workcell_file(path)
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(BaggieError, match="is no text in UTF-8"):
         read_workcell_file(path)
 
 

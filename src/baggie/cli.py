@@ -21,20 +21,22 @@ from baggie.commissioning.printed import PrintOptions, print_to_pdf
 from baggie.data import contact_sheet, inspect_dataset
 from baggie.data.ravens_convert import ImportOptions
 from baggie.data.ravens_convert import import_ravens as run_import_ravens
-from baggie.errors import BaggieError, BaggieWarning, WriteError
+from baggie.data.summary import InspectOptions
+from baggie.errors import BaggieError, BaggieWarning, UsageError, WriteError
 from baggie.evaluation.closed_loop import EvaluateOptions
 from baggie.evaluation.closed_loop import evaluate as run_evaluate
 from baggie.evaluation.report import ReportOptions
 from baggie.evaluation.report import report as run_report
 from baggie.evaluation.validate import ValidateOptions
 from baggie.evaluation.validate import validate as run_validate
+from baggie.import_errors import explained
 from baggie.lab.options import LabOptions
 from baggie.learning import TrainOptions
 from baggie.learning import train as run_train
 from baggie.policies.export import ExportOptions
 from baggie.policies.export import export as run_export
 
-DONE, FAILED, INTERRUPTED = 0, 1, 130
+DONE, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
 _FORMAT_WARNING = warnings.formatwarning
 
 
@@ -50,29 +52,26 @@ def collect(options: CollectOptions, json: bool = False) -> None:
     show(run_collect(options), json)
 
 
-def inspect(
-    data: tyro.conf.Positional[Path], sheet: Path | None = None, columns: int = 6, json: bool = False
-) -> None:
+def inspect(options: InspectOptions, json: bool = False) -> None:
     """Say what is in a recording, and draw a contact sheet of it.
 
     Example: baggie inspect recordings/bags
 
     Args:
-        data: The recording's folder.
-        sheet: Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that
-            can be written.
-        columns: Attempts in a row of the contact sheet.
+        options: Which recording, and where to draw.
         json: Print the summary as one JSON object.
     """
+    data = options.data
     summary = inspect_dataset(data)
     trouble = None
     if summary["attempts"]:
         try:
-            summary["contact_sheet"] = str(contact_sheet(data, sheet or data / "contact-sheet.png", columns))
+            sheet = options.sheet or data / "contact-sheet.png"
+            summary["contact_sheet"] = str(contact_sheet(data, sheet, options.columns))
         except WriteError as error:
             trouble = error
     show(summary, json)
-    if trouble is not None and sheet is not None:
+    if trouble is not None and options.sheet is not None:
         raise trouble
     if trouble is not None:  # nobody asked for it: the recording is a colleague's perhaps, or the disk full
         warnings.warn(f"{trouble}; or give --sheet another place", BaggieWarning, stacklevel=1)
@@ -221,7 +220,7 @@ VERBS: dict[str, Callable[..., None]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a verb; the exit status: 0 done, 1 it could not be done, 2 wrong usage (by tyro), 130 interrupted."""
+    """Run a verb; the exit status: 0 done, 1 it could not be done, 2 wrong usage (by tyro, too), 130 interrupted."""
     warnings.formatwarning = _format_warning
     return _run(arguments)
 
@@ -249,12 +248,21 @@ def _run(arguments: list[str] | None) -> int:
             ),
         )
     except (BaggieError, OSError) as error:
-        print("error:", " ".join(str(error).split()), file=sys.stderr)
-        return FAILED
+        return _failed(error)
+    except ImportError as error:
+        if (missing := explained(error)) is None:
+            raise
+        return _failed(missing)
     except KeyboardInterrupt as interruption:
         print(str(interruption) or "interrupted; the same command again goes on", file=sys.stderr)
         return INTERRUPTED
     return DONE
+
+
+def _failed(error: Exception) -> int:
+    """Say why in one line; the exit status."""
+    print("error:", " ".join(str(error).split()), file=sys.stderr)
+    return WRONG_USAGE if isinstance(error, UsageError) else FAILED
 
 
 if __name__ == "__main__":

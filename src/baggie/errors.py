@@ -5,6 +5,10 @@ class BaggieError(Exception):
     """Something could not be done; the message is one line fit for `error: ...` on a terminal."""
 
 
+class UsageError(BaggieError):
+    """What was asked is out of range, or does not go together; nothing was begun."""
+
+
 class LimitError(BaggieError):
     """A motion would have left the workcell's limits; nothing was sent to the arm."""
 

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from baggie.errors import BaggieError
+
 FloatArray = NDArray[np.float64]
 
 
@@ -23,6 +25,13 @@ def wrap_angle(angle: FloatArray, period: float = ...) -> FloatArray: ...
 def wrap_angle(angle: float | FloatArray, period: float = 2 * math.pi) -> float | FloatArray:
     """The angle (radians) modulo `period`, in [-period/2, period/2)."""
     return (angle + period / 2) % period - period / 2
+
+
+def nearest_angle(angle: float, to: float) -> float:
+    """The angle (radians), whole turns added, that is nearest to `to`: within half a turn, itself if it is already."""
+    if -math.pi < angle - to <= math.pi:
+        return angle
+    return to - wrap_angle(to - angle)
 
 
 @dataclass(frozen=True)
@@ -120,9 +129,16 @@ class Rectangle:
         return min(max(x, self.x_min), self.x_max), min(max(y, self.y_min), self.y_max)
 
     def sample(self, rng: np.random.Generator, margin: float = 0.0) -> FloatArray:
-        """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres."""
+        """A point uniform in the rectangle shrunk by `margin`: `(2,)` metres.
+
+        Raises `BaggieError` where no point is so far from all its edges.
+        """
         low = [self.x_min + margin, self.y_min + margin]
         high = [self.x_max - margin, self.y_max - margin]
+        if low[0] > high[0] or low[1] > high[1]:
+            raise BaggieError(
+                f"expected a rectangle with a point {margin:.2f} m from all its edges, got {self}; make it larger"
+            )
         return rng.uniform(low, high)
 
     def __str__(self) -> str:

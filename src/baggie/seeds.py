@@ -1,4 +1,4 @@
-"""The random streams, kept apart: a scene of one can never be a scene of another, whatever the seed.
+"""The random streams, kept apart: a scene of one can never be a scene of another, whatever the seed; drawing from them.
 
 A stream's name goes first in the list of integers that seeds a generator, so `(EVALUATION, 7, 0)` and
 `(COLLECTION, 7, 0)` share nothing. The values are arbitrary but fixed: changing one changes every recording.
@@ -6,9 +6,12 @@ A stream's name goes first in the list of integers that seeds a generator, so `(
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 import numpy as np
+
+T = TypeVar("T")
 
 COLLECTION: Final = 0xC011EC7
 """Scenes in which demonstrations are collected: `(COLLECTION, seed, sitting)`."""
@@ -30,3 +33,16 @@ def generator(*stream: int) -> np.random.Generator:
     True
     """
     return np.random.default_rng(stream)
+
+
+def first_fit(draw: Callable[[], T], fits: Callable[[T], bool], tries: int = 1000) -> T | None:
+    """Draw until something fits: the first of at most so many tries, or None where none of them did.
+
+    >>> stream = generator(COLLECTION, 0)
+    >>> first_fit(lambda: stream.integers(6) + 1, lambda eyes: eyes == 6) == 6
+    np.True_
+    >>> first_fit(lambda: stream.integers(6) + 1, lambda eyes: eyes > 6) is None
+    True
+    """
+    drawn = (draw() for _ in range(tries))
+    return next((each for each in drawn if fits(each)), None)

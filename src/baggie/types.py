@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
+from baggie.pictures import as_outline, as_picture
 
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
@@ -66,10 +67,11 @@ class Observation:
     """What a camera saw once; or, with a grid, the table as seen from straight above.
 
     An orthographic picture (`baggie.vision.height_map`) has `grid` and `height` in place of `intrinsics` and `depth`.
+    Raises `BaggieError` for a picture that is none.
     """
 
     color: Image
-    """`(H, W, 3)` uint8, RGB."""
+    """`(H, W, 3)` uint8, RGB; whatever pictures come as is made that (`baggie.pictures.as_picture`)."""
     depth: NDArray[np.float32] | None = None
     """`(H, W)` float32, metres along the optical axis; 0 where unknown."""
     intrinsics: Intrinsics | None = None
@@ -79,6 +81,9 @@ class Observation:
     """Which pixel shows which place, in the robot's base frame; None for a camera's own picture."""
     height: NDArray[np.float32] | None = None
     """`(H, W)` float32, metres above the grid's lower bound of z; 0 where nothing is known. None without a grid."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "color", as_picture(self.color))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -110,15 +115,36 @@ class Observation:
 class Goal:
     """Where the object must end, in the picture: a region, and how it is drawn.
 
-    The region is a polygon of pixel corners `(N, 2)` as (u, v) in the observation's picture.
+    The region is a polygon of pixel corners `(N, 2)` as (u, v) in the observation's picture. Raises `BaggieError` for
+    corners that enclose nothing, and for a style, a colour or a point that is none.
     """
 
     corners: FloatArray
+    """In order around the region; those of a zigzag are put in order (`baggie.pictures.as_outline`)."""
     style: GoalStyle = "solid"
     color: tuple[int, int, int] = (0, 200, 0)
     """RGB."""
     object_at: tuple[float, float] | None = None
     """A pixel (u, v) on the object to be moved, where several lie there; None leaves the choice to the policy."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "corners", as_outline(self.corners))
+        if self.style not in get_args(GoalStyle):
+            raise BaggieError(
+                f"expected a goal's style among {', '.join(get_args(GoalStyle))}, got {self.style!r}"
+            )
+        red_green_blue = _numbers(self.color, 3)
+        if red_green_blue is None or not all(0 <= number <= 255 for number in red_green_blue):
+            raise BaggieError(
+                f"expected a goal's colour as three numbers from 0 to 255, RGB, got {self.color!r}"
+            )
+        if self.object_at is not None:
+            pixel = _numbers(self.object_at, 2)
+            if pixel is None:
+                raise BaggieError(
+                    f"expected the object's pixel as two numbers (u, v), got {self.object_at!r}"
+                )
+            object.__setattr__(self, "object_at", pixel)
 
     @property
     def center(self) -> FloatArray:
@@ -135,10 +161,30 @@ class Goal:
         return replace(self, corners=(self.corners + 0.5) * factors - 0.5, object_at=object_at)
 
 
+def _numbers(values: Any, count: int) -> tuple[float, ...] | None:
+    """These as so many finite numbers; None where they are none."""
+    try:
+        numbers = np.asarray(values, float)
+    except (TypeError, ValueError):
+        return None
+    return tuple(numbers.tolist()) if numbers.shape == (count,) and np.isfinite(numbers).all() else None
+
+
+def seen(observation: Observation) -> Observation:
+    """The observation, for a policy. Raises `BaggieError` for what is none, such as its picture alone."""
+    if not isinstance(observation, Observation):
+        kind = type(observation).__name__
+        raise BaggieError(f"expected an observation, got {kind}; give plan(Observation(picture), goal) one")
+    return observation
+
+
 def marked(goal: Goal | None) -> Goal:
     """The goal, for a policy that needs one. Raises `BaggieError` where there is none."""
     if goal is None:
         raise BaggieError("expected a goal marked in the picture, got none; give plan(observation, goal) one")
+    if not isinstance(goal, Goal):
+        kind = type(goal).__name__
+        raise BaggieError(f"expected a goal, got {kind}; give plan(observation, Goal(corners)) one")
     return goal
 
 
@@ -155,9 +201,15 @@ class PickPlace:
         return np.array([a.x, a.y, a.yaw, b.x, b.y, b.yaw])
 
     @classmethod
-    def from_array(cls, values: FloatArray) -> PickPlace:
-        """The inverse of `to_array`."""
-        px, py, pt, qx, qy, qt = (float(value) for value in values)
+    def from_array(cls, values: ArrayLike) -> PickPlace:
+        """The inverse of `to_array`. Raises `BaggieError` for anything but six numbers."""
+        try:
+            px, py, pt, qx, qy, qt = (float(value) for value in np.asarray(values, float))
+        except (TypeError, ValueError):
+            raise BaggieError(
+                "expected an action of six numbers, pick x, y, yaw and place x, y, yaw, got "
+                f"{' '.join(str(values).split())}; give metres and radians"
+            ) from None
         return cls(PlanarPose(px, py, pt), PlanarPose(qx, qy, qt))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -14,6 +13,7 @@ import yaml
 
 from baggie.errors import CalibrationError, DataError
 from baggie.files import write_text
+from baggie.text_files import read_json, read_yaml
 
 VIEWS_FILE = "views.json"
 
@@ -58,13 +58,11 @@ def write_calibration(path: Path, kind: str, content: Mapping[str, Any]) -> None
 def read_calibration(path: Path, kind: str) -> dict[str, Any]:
     """What `write_calibration` wrote. Raises `DataError` where the file is missing or of another kind."""
     try:
-        content = yaml.safe_load(path.read_text())
+        content = read_yaml(path)
     except OSError as error:
         raise DataError(
             f"no {kind} calibration at {path} ({error.strerror}); make one: baggie calibrate {kind}"
         ) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise DataError(f"{path} is no YAML ({' '.join(str(error).split())}); calibrate again") from None
     found = content.get("kind") if isinstance(content, dict) else None
     if found != kind:
         raise DataError(
@@ -80,13 +78,11 @@ def read_views_file(folder: Path) -> dict[str, Any]:
     """
     path = folder / VIEWS_FILE
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
     except OSError as error:
         raise DataError(
             f"cannot read {path} ({error.strerror}); name the folder with {VIEWS_FILE} in it"
         ) from None
-    except ValueError as error:
-        raise DataError(f"{path} is no JSON ({error}); write it again") from None
     views = content.get("views") if isinstance(content, dict) else None
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
         raise DataError(f'expected a list "views" of {{...}} in {path}, got something else; write it again')

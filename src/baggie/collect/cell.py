@@ -14,7 +14,7 @@ from baggie.workcell.watch import Watch
 from baggie.workcell.workcell import WorkcellSettings
 
 Ask = Callable[[str], bool]
-"""Asks a person for help, in one line; True when the object is back in the workspace."""
+"""Asks a person for help, in one line; True when it is worth another look."""
 
 
 class CollectorCell(Protocol):

@@ -16,6 +16,7 @@ from rich.console import Console
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.demonstrations import record_demonstrations
+from baggie.collect.help import Help
 from baggie.collect.opening import SIMULATED, OpenCell, what_opens
 from baggie.collect.options import INSTRUCTIONS, CollectOptions
 from baggie.collect.patience import PAUSES_S, Patience
@@ -24,8 +25,9 @@ from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.files import write_if_possible
-from baggie.processes import stream_in_processes
-from baggie.progress import progress_bar
+from baggie.processes import ask_parent, stream_in_processes
+from baggie.progress import ProgressBar, progress_bar
+from baggie.terminal import ask, is_attended
 from baggie.types import Attempt
 from baggie.vision.picture_files import read_picture
 from baggie.workcell.watch import REFERENCE_FILE, Watch
@@ -42,10 +44,10 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
 
     In the cell that the options say, unless `open_cell` opens another. Faults of an arm or a camera that are not
-    simulated are borne with patience (`patience.py`). Raises `BaggieError` when they do not end, the cell cannot be
-    calibrated, nobody could help a stalled collector, the disk is full, or the folder holds another recording: what
-    was recorded before stays, and the same command goes on from there. Raises `KeyboardInterrupt`, with how to go on
-    as its message, when stopped.
+    simulated are borne with patience (`patience.py`), and a person is asked for what only one can do (`help.py`).
+    Raises `BaggieError` when faults do not end, nobody helps, the cell cannot be calibrated, the disk is full, or the
+    folder holds another recording: what was recorded before stays, and the same command goes on from there. Raises
+    `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     if options.demonstrated:
@@ -66,7 +68,8 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
         try:
             (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
             worker = _worker(options, open_cell, image_to_robot)
-            rate = _record(options, worker, writer, console, patience)
+            attended = not simulated and is_attended()
+            rate = _record(options, worker, writer, console, patience=patience, attended=attended)
         except KeyboardInterrupt:
             recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
             raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
@@ -81,6 +84,16 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
 def _say(console: Console, line: str) -> None:
     """One line of the terminal or of a log file, as it is, above a progress bar."""
     console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _ask(console: Console, bar: ProgressBar, trouble: str) -> bool:
+    """Have a person at the terminal help; whether that was done."""
+    try:
+        with bar.aside():
+            ask(console, f"{trouble}, then press Enter")
+    except EOFError:
+        return False
+    return True
 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
@@ -105,7 +118,9 @@ def _record(
     worker: Callable[[], Sit],
     writer: DatasetWriter,
     console: Console,
+    *,
     patience: Patience,
+    attended: bool,
 ) -> float | None:
     """Run what is missing; attempts per minute, or None when nothing was."""
     if not missing_sittings(options.attempts, writer.attempt_ids):
@@ -115,12 +130,18 @@ def _record(
     recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
     workers = options.workers or os.cpu_count() or 1
 
-    def missing() -> Iterator[Attempt]:
-        return stream_in_processes(worker, missing_sittings(options.attempts, writer.attempt_ids), workers)
-
     with progress_bar("collecting", options.attempts, recorded, console) as advance:
+        person = functools.partial(_ask, console, advance) if attended else None
+        help_ = Help(person, 60 * options.wait, functools.partial(_say, console))
+
+        def missing() -> Iterator[Attempt]:
+            sittings = missing_sittings(options.attempts, writer.attempt_ids)
+            return stream_in_processes(worker, sittings, workers, help_.helped)
+
         for attempt in patience.bear(missing):
             writer.append(attempt)
+            if attempt.outcome.success:
+                help_.worked()
             done, good = done + 1, good + attempt.outcome.success
             rate = 60 * done / (time.monotonic() - start)
             advance(f"{good}/{done} succeeded, {rate:.0f} a minute")
@@ -154,7 +175,7 @@ def _open_worker(
     def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
         number = wanted[0] // ATTEMPTS_PER_SITTING
         first = 0 if cell.repeatable else wanted[0] % ATTEMPTS_PER_SITTING
-        for attempt in run_sitting(cell, image_to_robot, recording, number, first=first):
+        for attempt in run_sitting(cell, image_to_robot, recording, number, ask=ask_parent, first=first):
             if attempt.attempt_id in wanted:
                 yield attempt
             if attempt.attempt_id == wanted[-1]:

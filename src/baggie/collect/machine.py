@@ -7,7 +7,7 @@
      ├────────┴─► ASK ◄─┘        │
      │             │             │
      └─────────────┼─────────────┘
-                STOPPED  (nobody could help)
+                STOPPED  (nobody helped)
 
 MOVE is the workcell's own pick (with its check of the gripper's width), carry and place.
 """
@@ -37,7 +37,7 @@ from baggie.vision.color_mask import Detection
 
 MAX_TRIES = 3
 MAX_LOOKS = 3
-MAX_ASKS = 2
+MAX_RESCUES = 2
 UNMOVED_M = 0.02
 """An object said to be carried 20 cm that is still this close to where it was has not been moved."""
 LANDING_M = 0.06
@@ -83,7 +83,7 @@ class Turn:
     truth_before: PlanarPose | None = None
     tries: int = 0
     looks: int = 0
-    asks: int = 0
+    rescues: int = 0
     trouble: str = ""
     """What a person is told, when asked or when everything stops."""
 
@@ -155,10 +155,11 @@ def recover(turn: Turn) -> State:
 
 
 def ask(turn: Turn) -> State:
-    """Ask a person."""
-    turn.asks += 1
+    """Have the cell help itself, a limited number of times; then ask a person, for as long as anybody answers."""
     turn.looks = 0
-    return State.LOOK if turn.asks <= MAX_ASKS and turn.ask(turn.trouble) else State.STOPPED
+    turn.rescues += 1
+    rescued = turn.rescues <= MAX_RESCUES and turn.cell.rescue()
+    return State.LOOK if rescued or turn.ask(turn.trouble) else State.STOPPED
 
 
 def check(turn: Turn) -> State:
@@ -200,11 +201,16 @@ class Stopped(BaggieError):
     """The collector cannot go on without a person."""
 
 
+def stopped(trouble: str) -> Stopped:
+    """In one line, for the person who comes."""
+    return Stopped(f"collecting stopped: {trouble}; what was recorded is safe, and the same command goes on")
+
+
 def run_turn(turn: Turn) -> Turn:
     """Run a turn from LOOK to RECORD. Raises `Stopped` when it ends in STOPPED."""
     state = State.LOOK
     while state is not State.RECORD:
         if state is State.STOPPED:
-            raise Stopped(f"collecting stopped: {turn.trouble}")
+            raise stopped(turn.trouble)
         state = STATES[state](turn)
     return turn

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from baggie.errors import BaggieError
+from baggie.errors import UsageError
+from baggie.ranges import Count, NotNegative, Options, Seed, Workers
 from baggie.sim.tasks import TASKS
 
 INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
@@ -18,7 +19,7 @@ CollectedScenery = Literal["plain", "varied"]
 
 
 @dataclass(frozen=True)
-class CollectOptions:
+class CollectOptions(Options):
     """What to collect, and where to."""
 
     out: Path
@@ -27,43 +28,38 @@ class CollectOptions:
     """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
     which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner.
     """
-    attempts: int = 300
+    attempts: Count = 300
     """How many there are to be in the end, failed ones included; with blocks, whole demonstrations."""
-    seed: int = 0
+    seed: Seed = 0
     """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
-    cell: int = 0
+    cell: Seed = 0
     """Number of the simulated workcell."""
     scenery: CollectedScenery = "plain"
     """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
-    workers: int | None = None
+    workers: Workers | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
+    wait: NotNegative = 0.0
+    """On a real arm: how many minutes to wait for help where nobody is at the terminal to be asked for it."""
 
     def check(self) -> None:
-        """Raise `BaggieError` for what cannot be collected."""
+        """Raise `UsageError` for what cannot be collected."""
         if self.task not in INSTRUCTIONS and self.task not in TASKS:
-            raise BaggieError(
-                f"expected a task among {', '.join([*INSTRUCTIONS, *TASKS])}, got {self.task!r}"
-            )
-        for name, least in (("attempts", 1), ("seed", 0), ("cell", 0)):
-            if getattr(self, name) < least:
-                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
+            raise UsageError(f"expected a task among {', '.join([*INSTRUCTIONS, *TASKS])}, got {self.task!r}")
         known = get_args(CollectedScenery)
         if self.scenery not in known:
-            raise BaggieError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
+            raise UsageError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
         if self.scenery != "plain" and self.workcell is not None:
-            raise BaggieError(
+            raise UsageError(
                 f"expected the scenery plain with --workcell, which says what the bag is, got {self.scenery!r}; "
                 "leave one of them out"
             )
         if self.demonstrated and (self.scenery != "plain" or self.workcell is not None):
-            raise BaggieError(
+            raise UsageError(
                 f"expected neither --scenery nor --workcell with --task {self.task}, which has a cell of its own; "
                 "leave them out"
             )
-        if self.workers is not None and self.workers < 1:
-            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
 
     @property
     def demonstrated(self) -> bool:
@@ -82,4 +78,5 @@ class CollectOptions:
         words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
         words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
+        words += [] if self.wait == 0 else ["--wait", f"{self.wait:g}"]
         return shlex.join(words)

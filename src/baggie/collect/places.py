@@ -9,28 +9,35 @@ import numpy as np
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
+from baggie.seeds import first_fit
 
 MIN_DISTANCE_M = 0.20
 MARGIN_M = 0.03
 """Between any place and the workspace's edge: a soft bag lands up to this far from where it is let go."""
 FALSE_45_RAD = math.radians(7)
 """Readings this close to 45 degrees are doubted."""
-_SAMPLES = 1000
 
 
-def random_place(workspace: Rectangle, last: PlanarPose, rng: np.random.Generator) -> PlanarPose:
+def random_place(
+    workspace: Rectangle, last: PlanarPose, rng: np.random.Generator, margin: float = MARGIN_M
+) -> PlanarPose:
     """A place uniform over the workspace, at least 20 cm from the last, the gripper square to it (yaw 0).
 
-    Raises `BaggieError` when the workspace is too small for two places 20 cm apart.
+    `margin`: metres between it and the workspace's edge. Raises `BaggieError` when the workspace is too small for two
+    places 20 cm apart.
     """
-    for _ in range(_SAMPLES):
-        x, y = workspace.sample(rng, MARGIN_M)
-        if math.hypot(x - last.x, y - last.y) >= MIN_DISTANCE_M:
-            return PlanarPose(float(x), float(y), 0.0)
-    raise BaggieError(
-        f"expected a workspace with places {MIN_DISTANCE_M * 100:.0f} cm apart, got {workspace}; "
-        "make it larger"
-    )
+
+    def somewhere() -> PlanarPose:
+        x, y = workspace.sample(rng, margin)
+        return PlanarPose(float(x), float(y), 0.0)
+
+    place = first_fit(somewhere, lambda pose: pose.distance(last) >= MIN_DISTANCE_M)
+    if place is None:
+        raise BaggieError(
+            f"expected a workspace with places {MIN_DISTANCE_M * 100:.0f} cm apart, got {workspace}; "
+            "make it larger"
+        )
+    return place
 
 
 def false_45(yaw: float) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
-from baggie.collect.machine import Stopped, Turn, run_turn
+from baggie.collect.machine import Turn, run_turn, stopped
 from baggie.data.record import fit
 from baggie.geometry import FloatArray
 from baggie.types import Attempt, Truth
@@ -42,20 +42,18 @@ def run_sitting(
     image_to_robot: ImageToRobot,
     recording: Recording,
     number: int,
-    ask: Ask | None = None,
     *,
+    ask: Ask,
     first: int = 0,
 ) -> Iterator[Attempt]:
     """The ten attempts of one sitting, or those from `first` on, one by one as they are finished, failed ones too.
 
-    `ask` is called with one line when a person is needed; it is the cell's own `rescue` unless given. Raises
-    `Stopped` when nobody could help, or when it stalls again after help.
+    `ask` is called with one line when the cell cannot help itself. Raises `Stopped` when nobody helps.
     """
-    ask = ask or (lambda _question: cell.rescue())
     cell.reset((seeds.COLLECTION, recording.seed, number))
     begun_at = (first,) if first else ()  # or places would be the first ones over again
     rng = seeds.generator(seeds.PLACES, recording.seed, number, *begun_at)
-    doubted = helped = False
+    doubted = rescued = False
     failures = 0
     for index in range(first, ATTEMPTS_PER_SITTING):
         time = cell.clock()
@@ -66,9 +64,10 @@ def run_sitting(
         failures = 0 if attempt.outcome.success else failures + 1
         if attempt.outcome.failure == "stalled" or failures >= STALL_AFTER:
             trouble = _stall(attempt, failures)
-            if helped or not ask(trouble):
-                raise Stopped(f"collecting stopped: {trouble}")
-            helped, failures = True, 0
+            helped = not rescued and cell.rescue()
+            if not (helped or ask(trouble)):
+                raise stopped(trouble)
+            rescued, failures = rescued or helped, 0
 
 
 def _stall(attempt: Attempt, failures: int) -> str:

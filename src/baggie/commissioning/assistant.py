@@ -5,7 +5,6 @@ In the simulator, `simulated_assistant.py` does the same things in the world.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Protocol
 
@@ -13,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from baggie.geometry import FloatArray
+from baggie.terminal import ask
 from baggie.vision.targets import Target
 
 
@@ -112,10 +112,7 @@ class PersonAtTerminal:
         self._console.print("[bold]→[/] the target can be taken away")
 
     def _ask_terminal(self, words: str) -> str:
-        if not sys.stdin.isatty():
-            self._console.print(f"[bold]→[/] {words}")
-            line = sys.stdin.readline()
-            if not line:
-                raise KeyboardInterrupt("nobody is at the terminal; the same command again goes on")
-            return line.strip()
-        return self._console.input(f"[bold]→[/] {words}, then press Enter ").strip()
+        try:
+            return ask(self._console, f"{words}, then press Enter")
+        except EOFError:
+            raise KeyboardInterrupt("nobody is at the terminal; the same command again goes on") from None

@@ -18,6 +18,7 @@ from baggie.calibration.files import CameraIdentity
 from baggie.commissioning.assistant import Assistant, PersonAtTerminal
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
+from baggie.ranges import Options, Seed
 from baggie.types import Image, Observation
 from baggie.vision.picture_files import write_picture
 from baggie.vision.targets import Seen
@@ -28,17 +29,17 @@ from baggie.workcell.workcell import Workcell
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class LiveOptions(Options):
     """Which camera and arm, when a calibration is made live."""
 
     workcell: str = "sim"
     """A workcell file, or `sim`: the simulated one, where everything a person would do happens by itself."""
-    cell: int = 0
+    cell: Seed = 0
     """Number of the simulated workcell."""
     camera: str | None = None
     """A camera without an arm: its number, device or address as OpenCV opens it, or a video file; or `realsense`,
     `orbbec`, `k4a`, each with `:SERIAL` where several are plugged in."""
-    seed: int = 0
+    seed: Seed = 0
     """Of what is random: where a simulated person holds the board, which points are visited."""
 
 

@@ -18,6 +18,7 @@ from baggie.commissioning.printed import BOARD
 from baggie.commissioning.view_folder import ViewFolder
 from baggie.commissioning.world import T_world_target
 from baggie.errors import CalibrationError
+from baggie.ranges import Count
 from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, Target, parse_target
 
@@ -34,7 +35,7 @@ class CameraToWorldOptions(LiveOptions):
     """Pictures already taken, the camera standing still: a folder, one picture, or a video."""
     target: str = BOARD
     """What lies on the table: a charuco or chessboard (see `calibrate intrinsics`), or aruco:DICTIONARY:NUMBER:SIZE."""
-    frames: int = 10
+    frames: Count = 10
     """Pictures to average, live."""
 
 

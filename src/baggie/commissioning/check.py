@@ -20,6 +20,7 @@ from baggie.commissioning.printed import HAND_MARKER, TABLE_MARKER
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
+from baggie.ranges import Count, Number, Point, Positive
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.watch import REFERENCE_FILE, Watch
@@ -35,15 +36,15 @@ class CheckOptions(LiveOptions):
 
     map: Path = Path("image-to-robot.yaml")
     """The calibration to check."""
-    points: int = 8
+    points: Count = 8
     """How many points the marker in the hand is taken to, other ones than the map was made from."""
-    touches: int = 3
+    touches: Number = 3
     """How often the marker on the table is touched; somebody says, or the simulator knows, how far off."""
-    limit_mm: float = 3.0
+    limit_mm: Positive = 3.0
     """A mean error above this is a failure: the exit status is 1."""
     marker: str = HAND_MARKER
     """In the hand, as for `image-to-robot`."""
-    marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
+    marker_in_hand: Point = (0.13, 0.0, 0.0)
     """As for `image-to-robot`."""
     prepared: bool = False
     """As for `image-to-robot`; with --touches 0, nobody is needed at all."""

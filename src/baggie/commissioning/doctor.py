@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,6 +13,8 @@ from rich.table import Table
 
 from baggie.commissioning.health import MOVING, STILL, Check, Doubt
 from baggie.errors import BaggieError
+from baggie.ranges import Options, Seed
+from baggie.terminal import ask, is_attended
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
@@ -21,12 +22,12 @@ _COLORS: dict[Verdict, str] = {"ok": "green", "look": "yellow", "failed": "bold 
 
 
 @dataclass(frozen=True)
-class DoctorOptions:
+class DoctorOptions(Options):
     """Check a workcell."""
 
     workcell: tyro.conf.Positional[str] = "sim"
     """A workcell file, or `sim`."""
-    cell: int = 0
+    cell: Seed = 0
     """Number of the simulated workcell."""
     move: Literal["ask", "yes", "no"] = "ask"
     """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand."""
@@ -106,6 +107,7 @@ def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool 
 
 def _ask(question: str) -> bool:
     """At the terminal; where nobody is, no."""
-    if not sys.stdin.isatty():
+    try:
+        return is_attended() and ask(Console(stderr=True), f"{question} [y/N]").lower() in {"y", "yes"}
+    except EOFError:
         return False
-    return Console(stderr=True).input(f"[bold]→[/] {question} [y/N] ").strip().lower() in {"y", "yes"}

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
@@ -24,11 +25,12 @@ from baggie.commissioning.view_folder import ViewFolder
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.seeds import first_fit
 from baggie.vision.targets import parse_target
 from baggie.workcell.arm import hand_pose
 
 MAX_MISSES = 20
-"""Pictures in a row without the board before giving up."""
+"""Pictures in a row without the board, or poses out of reach, before giving up."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class HandEyeOptions(LiveOptions):
     """Live: the camera fixed and the board in the hand, or the camera on the hand and the board on the table."""
     board: str = HAND_BOARD
     """The board in the hand or on the table; live."""
-    views: int = 15
+    views: Annotated[int, Interval(ge=3)] = 15
     """How many to take, live."""
 
 
@@ -116,10 +118,7 @@ def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
         while len(folder) < options.views:
             count = f"view {len(folder) + 1} of {options.views}"
             words = f"{count}: lead the hand elsewhere, tilted 15 to 30 degrees another way"
-            try:
-                bench.assistant.lead_to(random_hand_pose(cell.settings.workspace, rng), words)
-            except ReachError:
-                continue
+            lead_to_random_pose(bench, cell.settings.workspace, rng, words)
             picture = bench.camera.look().color
             seen = board.detect(picture)
             show_live(folder.folder, picture, seen, words)
@@ -140,6 +139,23 @@ def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
         ) from None
     bench.assistant.put_away()
     return folder.folder
+
+
+def lead_to_random_pose(bench: Bench, workspace: Rectangle, rng: np.random.Generator, words: str) -> None:
+    """Have the arm led to a random pose that it reaches. Raises `ReachError` where it reaches none."""
+
+    def led(T_base_hand: FloatArray) -> bool:
+        try:
+            bench.assistant.lead_to(T_base_hand, words)
+        except ReachError:
+            return False
+        return True
+
+    if first_fit(lambda: random_hand_pose(workspace, rng), led, MAX_MISSES) is None:
+        raise ReachError(
+            f"expected a workspace on whose near side the hand can be led to and tilted, reached none of {MAX_MISSES} "
+            f"poses there, of {workspace}; put it where the arm reaches"
+        )
 
 
 def random_hand_pose(workspace: Rectangle, rng: np.random.Generator) -> FloatArray:

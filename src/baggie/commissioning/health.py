@@ -84,7 +84,7 @@ def calibrations(cell: Workcell) -> str:
     known = cell.calibrations
     there = [name for name in ("intrinsics", "image_to_robot", "camera_to_robot") if getattr(known, name)]
     if not there:
-        raise Doubt("none; collecting begins with one of its own: baggie calibrate image-to-robot")
+        raise Doubt("none; a real arm collects with one: baggie calibrate image-to-robot")
     return ", ".join(there)
 
 

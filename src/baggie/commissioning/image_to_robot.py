@@ -23,6 +23,7 @@ from baggie.errors import CalibrationError, DataError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, transform_points
 from baggie.progress import progress_bar
+from baggie.ranges import Count, Height, Point, Positive
 from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Seen
 from baggie.workcell.limits import Limits
@@ -44,20 +45,20 @@ class ImageToRobotOptions(LiveOptions):
     """The camera's own calibration: the lens is then exact, and one height enough. Without it the lens is estimated."""
     marker: str = HAND_MARKER
     """What the hand carries: aruco:DICTIONARY:NUMBER:SIZE, or color:R,G,B for a coloured blob."""
-    marker_in_hand: tuple[float, float, float] = (0.13, 0.0, 0.0)
+    marker_in_hand: Point = (0.13, 0.0, 0.0)
     """The marker's middle in the tool's frame (x forward, y right, z down), metres."""
     prepared: bool = False
     """The table is clear, the marker in the hand and nobody near the arm: it begins at once, and asks nobody."""
-    heights: tuple[float, ...] = (0.05, 0.15)
+    heights: tuple[Height, ...] = (0.05, 0.15)
     """At which the marker is carried, metres above the table. With one height and no intrinsics the map is right at
     that height only."""
-    map_height: float = 0.0
+    map_height: Height = 0.0
     """The height the saved map is right at, metres: 0 is the table, half an object's height its outline's."""
-    columns: int = 4
+    columns: Count = 4
     """Of points from right to left."""
-    rows: int = 3
+    rows: Count = 3
     """Of points from near to far."""
-    limit_mm: float = 5.0
+    limit_mm: Positive = 5.0
     """A map whose points disagree by more, each judged by a fit to the others (RMS), is refused."""
 
 
@@ -186,7 +187,7 @@ def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRo
     return fitted.at_height(options.map_height) if fitted.height_aware else fitted
 
 
-def _marker(view: dict[str, Any], marker_in_hand: tuple[float, float, float]) -> FloatArray:
+def _marker(view: dict[str, Any], marker_in_hand: Point) -> FloatArray:
     """`(3,)` metres, base frame: the middle of the marker in one view."""
     if "base" in view:
         return np.array(view["base"], float).reshape(3)

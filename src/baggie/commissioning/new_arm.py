@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from baggie.commissioning.questions import Questions, entry, number, one_of, several, spaced, word
+from baggie.errors import DataError
+from baggie.text_files import parse_yaml
 from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell_file import (
     Bounds,
@@ -159,7 +159,7 @@ def _options(answer: str) -> dict[str, Any]:
         if name in PythonEntry.model_fields:
             raise ValueError(f"expected another name than {name}, which is the file's own")
         try:
-            options[name] = yaml.safe_load(value)
-        except yaml.YAMLError:
+            options[name] = parse_yaml(value, name)
+        except DataError:
             raise ValueError(f"expected a value as YAML has it, got {value}") from None
     return options

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from annotated_types import Interval
 
 from baggie.errors import BaggieError
+from baggie.ranges import Color, Options
 from baggie.vision.goal_card import CARD_COLOR
 from baggie.vision.printing import print_goal_card, print_target
 from baggie.vision.targets import parse_target
@@ -32,7 +34,7 @@ GOAL_CARD = "goal-card"
 
 
 @dataclass(frozen=True)
-class PrintOptions:
+class PrintOptions(Options):
     """What to print, and on what."""
 
     target: Annotated[str, tyro.conf.Positional] = "board"
@@ -42,9 +44,9 @@ class PrintOptions:
     """The PDF; TARGET.pdf unless given."""
     paper: str | None = None
     """A4 or A3; what the target was made for unless given."""
-    size: float = 0.13
+    size: Annotated[float, Interval(gt=0, le=1)] = 0.13
     """Side of a goal card, metres."""
-    color: tuple[int, int, int] = CARD_COLOR
+    color: Color = CARD_COLOR
     """RGB of a goal card."""
 
 

@@ -18,6 +18,7 @@ from baggie.commissioning.view_folder import ViewFolder
 from baggie.commissioning.world import points_to_touch
 from baggie.errors import DataError
 from baggie.geometry import transform_points
+from baggie.ranges import Height
 from baggie.vision.targets import parse_target
 from baggie.workcell.arm import hand_pose
 
@@ -34,7 +35,7 @@ class RobotToWorldOptions(LiveOptions):
     """What lies on the table, and has not been moved since the camera was calibrated to it."""
     axes_only: bool = False
     """Touch the origin and a point on each axis, no more; then a wrong touch cannot be noticed."""
-    probe: float = 0.03
+    probe: Height = 0.03
     """How far the tip that touches is beyond the point between the fingertips, metres."""
     camera_to_world: Path | None = None
     """Given, the camera's pose in the robot's frame is written as well, to camera-to-robot.yaml beside `out`."""
@@ -42,6 +43,7 @@ class RobotToWorldOptions(LiveOptions):
 
 def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
     """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+    camera = None if options.camera_to_world is None else CameraToWorld.load(options.camera_to_world)
     if options.from_ is not None:
         result = _fit(read_views_file(options.from_)["views"], options)
     else:
@@ -49,8 +51,8 @@ def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
             result = calibrate_robot_to_world_live(bench, options)
     result.save(options.out)
     summary: dict[str, Any] = {"calibration": str(options.out), **result.summary()}
-    if options.camera_to_world is not None:
-        composed = compose(CameraToWorld.load(options.camera_to_world), result)
+    if camera is not None:
+        composed = compose(camera, result)
         path = options.out.with_name("camera-to-robot.yaml")
         composed.save(path)
         summary["next"] = (

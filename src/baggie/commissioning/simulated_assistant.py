@@ -7,7 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from baggie import seeds
 from baggie.commissioning.world import T_world_target
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform, rigid, transform_points
+from baggie.seeds import first_fit
 from baggie.sim.cell import Cell
 from baggie.vision.targets import Marker, Target
 from baggie.workcell.simulated import SimulatedWorkcell
@@ -18,6 +20,7 @@ TOUCH_STD_M = 0.0003
 """How exactly somebody leads a pointed probe onto a printed corner, for each axis."""
 PROBE_M = 0.03
 """How far the probe in the gripper reaches beyond the tool point."""
+_TRIES = 200
 _COLUMNS, _ROWS = 5, 4
 """Parts of the picture a board is shown in, one after the other."""
 
@@ -41,7 +44,7 @@ class SimulatedAssistant:
 
     def clear_table(self) -> None:
         """Put the bag aside."""
-        self._cell.world.put_bag(ASIDE)
+        self._cell.world.put_bag(ASIDE, undented=False)
         self._cell.world.advance(0.5)
 
     def lay(self, target: Target, words: str) -> None:
@@ -96,22 +99,31 @@ class SimulatedAssistant:
 def board_in_view(cell: Cell, target: Target, part: int, rng: np.random.Generator) -> FloatArray:
     """`T_base_target` `(4, 4)` of a board held above the table and before the camera, at random, most of it in view.
 
-    `part` counts: each is another part of the picture.
+    `part` counts: each is another part of the picture. Raises `BaggieError` where the camera sees no such board.
     """
-    for _ in range(200):
-        column, row = part % _COLUMNS, part // _COLUMNS % _ROWS
+    column, row = part % _COLUMNS, part // _COLUMNS % _ROWS
+
+    def somewhere() -> FloatArray:
         pixel = (np.array([column, row]) + rng.uniform(0.1, 0.9, 2)) / [_COLUMNS, _ROWS] * cell.lens.size
         ray = np.append(cell.lens.intrinsics.rays(pixel[None])[0], 1.0)
         roll, *tilt = *rng.uniform(-20, 20, 1), *rng.uniform(-40, 40, 2)
         rotation = Rotation.from_euler("zxy", [roll, *tilt], degrees=True).as_matrix()
         middle = rotation @ target.points.mean(axis=0)
         T_camera_target = rigid(rotation, ray * rng.uniform(0.28, 0.55) - middle)
-        T_base_target = invert_transform(cell.T_camera_base) @ T_camera_target
+        return invert_transform(cell.T_camera_base) @ T_camera_target
+
+    def in_view(T_base_target: FloatArray) -> bool:
         points = transform_points(T_base_target, target.points)
         pixels = cell.project(points)
         inside = ((pixels > 5) & (pixels < np.array(cell.lens.size) - 5)).all(axis=1)
-        if points[:, 2].min() > 0.08 and inside.mean() > 0.6:
-            break
+        return bool(points[:, 2].min() > 0.08 and inside.mean() > 0.6)
+
+    T_base_target = first_fit(somewhere, in_view, _TRIES)
+    if T_base_target is None:
+        raise BaggieError(
+            f"expected a camera that sees most of {target.spec} 28 to 55 cm before it and 8 cm above the table, in "
+            f"column {column}, row {row} of its picture, got cell {cell.number}; take a smaller board"
+        )
     return T_base_target
 
 

@@ -16,35 +16,39 @@ from baggie.data.ravens import RavensAction, RavensEpisode, RavensFolder, pose_t
 from baggie.data.ravens_observation import fused
 from baggie.data.summary import inspect_dataset
 from baggie.data.writer import DatasetWriter
-from baggie.errors import DataError
+from baggie.errors import BaggieError, DataError, UsageError
 from baggie.grid import Grid
 from baggie.progress import progress_bar
+from baggie.ranges import Bounds, Options, Positive
 from baggie.types import Attempt, Outcome, PickPlace
 
 _NOWHERE = np.full((4, 2), np.nan)
 
 
 @dataclass(frozen=True)
-class ImportOptions:
+class ImportOptions(Options):
     """What to import, and where to."""
 
     out: Path
     """Folder of the recording. The same command again goes on where it stopped."""
     task: str | None = None
     """The instruction in words; the folder's name unless given."""
-    x: tuple[float, float] = Grid.x
+    x: Bounds = Grid.x
     """Bounds of the pictures in the robot's base frame, metres; x becomes the columns."""
-    y: tuple[float, float] = Grid.y
+    y: Bounds = Grid.y
     """The same; y becomes the rows."""
-    z: tuple[float, float] = Grid.z
+    z: Bounds = Grid.z
     """The same; what is higher is not seen."""
-    pixel_m: float = Grid.pixel_m
+    pixel_m: Positive = Grid.pixel_m
     """Size of a pixel, metres."""
 
     @property
     def grid(self) -> Grid:
-        """Of the pictures. Raises `BaggieError` for bounds that make none."""
-        return Grid(self.x, self.y, self.z, self.pixel_m)
+        """Of the pictures. Raises `UsageError` for bounds that make none."""
+        try:
+            return Grid(self.x, self.y, self.z, self.pixel_m)
+        except BaggieError as error:
+            raise UsageError(str(error)) from None
 
     def command(self, folder: Path) -> str:
         """The command line that goes on with this import."""
@@ -64,7 +68,7 @@ def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
     number, or `options.out` holds another recording; what was converted before stays. Raises `KeyboardInterrupt`, with
     how to go on as its message, when stopped.
     """
-    source, grid = RavensFolder(folder), options.grid
+    grid, source = options.grid, RavensFolder(folder)
     rows, columns = grid.shape
     _check_numbers(source)
     with DatasetWriter(

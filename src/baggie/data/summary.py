@@ -5,17 +5,21 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+import tyro
+from annotated_types import Interval
 
 from baggie.data.contents import DONE
 from baggie.data.dataset import Dataset, open_dataset
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
+from baggie.ranges import Options
 from baggie.types import Attempt, Image, Observation
 from baggie.vision.picture_files import write_picture
 
@@ -26,6 +30,19 @@ _BORDER = 3
 _MARK_M = 0.04
 """Side of the square that shows a pose where no object was found."""
 _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0, 200, 0)
+
+
+@dataclass(frozen=True)
+class InspectOptions(Options):
+    """Which recording, and where to draw."""
+
+    data: tyro.conf.Positional[Path]
+    """The recording's folder."""
+    sheet: Path | None = None
+    """Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that can be
+    written."""
+    columns: Annotated[int, Interval(ge=1, le=1000)] = 6
+    """Attempts in a row of the contact sheet."""
 
 
 def inspect_dataset(root: Path | str) -> dict[str, Any]:

@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from baggie.collect.places import random_place
 from baggie.envs.step import ObservationDict, action_space, execute
-from baggie.geometry import PlanarPose
 from baggie.types import Goal
 
 if TYPE_CHECKING:
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 PICTURE_SIZE = (640, 360)
 SUCCESS_RADIUS_M = 0.02
-MIN_CARRY_M = 0.20
+GOAL_MARGIN_M = 0.02
+"""Between a goal and the workspace's edge."""
 
 
 class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
@@ -29,7 +30,8 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     float32, corners of the goal's outline in it, pixels (u, v).
     Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame.
     Reward: minus the distance from bag to goal in metres. Terminated within 2 cm. An action the arm refuses (outside
-    its limits or reach) moves nothing; `info["refused"]` says why. `info`: `distance_m`, `outcome` where it moved.
+    its limits or reach) moves nothing; `info["refused"]` says why. `info`: `distance_m`; `is_success`, whether that is
+    within 2 cm; `outcome` where it moved.
     Options of `reset`: none. The same seed gives the same scene.
     """
 
@@ -56,20 +58,15 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
         bag = self._workcell.truth()
-        while True:
-            x, y = self._workcell.settings.workspace.sample(self.np_random, margin=0.02)
-            self._goal = PlanarPose(float(x), float(y))
-            if bag.distance(self._goal) >= MIN_CARRY_M:
-                break
-        return self._observe(), {"distance_m": bag.distance(self._goal)}
+        self._goal = random_place(self._workcell.settings.workspace, bag, self.np_random, GOAL_MARGIN_M)
+        return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
         """Execute one pick and place."""
-        info = execute(self._workcell, action)
+        happened = execute(self._workcell, action)
         observation = self._observe()
-        distance = self._workcell.truth().distance(self._goal)
-        info["distance_m"] = distance
-        return observation, -distance, distance <= SUCCESS_RADIUS_M, False, info
+        info = happened | self._info()
+        return observation, -info["distance_m"], info["is_success"], False, info
 
     def render(self) -> Image | None:
         """The overhead picture with the goal painted in, `(360, 640, 3)`, in mode `rgb_array`."""
@@ -89,4 +86,8 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         factors = width / observation.size[0], height / observation.size[1]
         self._corners = Goal(self._workcell.goal_corners(self._goal)).scaled(*factors).corners
         self._color = observation.resized(width, height).color
-        return {"color": self._color, "goal": self._corners.astype(np.float32)}
+        return {"color": self._color.copy(), "goal": self._corners.astype(np.float32)}
+
+    def _info(self) -> dict[str, Any]:
+        distance = self._workcell.truth().distance(self._goal)
+        return {"distance_m": distance, "is_success": distance <= SUCCESS_RADIUS_M}

@@ -26,7 +26,8 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     Reward: what Ravens gives, 1 in all. Terminated when that is complete, truncated after the task's `max_steps`.
     An action the arm refuses (outside its limits or reach) moves nothing or puts back what it held; `info["refused"]`
     says why. `info`: `partial_credit`, the rewards' sum; `strict_success`, decided when the episode ends and False till
-    then (every block upright in a slot of its own, and still so two seconds later); `outcome` where it moved.
+    then (every block upright in a slot of its own, and still so two seconds later); `is_success`, the same by the name
+    that others read; `outcome` where it moved.
     Options of `reset`: none. The same seed gives the same scene.
     """
 
@@ -67,7 +68,7 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
 
     def render(self) -> Image | None:
         """The table from straight above, `(320, 160, 3)`, in mode `rgb_array`."""
-        return self._color if self.render_mode == "rgb_array" else None
+        return self._color.copy() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Free the simulator."""
@@ -76,10 +77,9 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     def _observe(self) -> ObservationDict:
         observation = self._workcell.look()
         self._color = observation.color
-        return {"color": self._color, "height": observation.height}
+        return {"color": self._color.copy(), "height": observation.height}
 
     def _info(self, ended: bool) -> dict[str, Any]:
-        return {
-            "partial_credit": self._workcell.score.total,
-            "strict_success": ended and self._workcell.strict_success(),
-        }
+        success = ended and self._workcell.strict_success()
+        credit = self._workcell.score.total
+        return {"partial_credit": credit, "strict_success": success, "is_success": success}

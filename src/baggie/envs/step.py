@@ -27,6 +27,6 @@ def action_space(area: Rectangle) -> gymnasium.Space[NDArray[np.float32]]:
 def execute(workcell: Workcell, action: NDArray[np.float32]) -> dict[str, Any]:
     """Carry out an action `(6,)`: `outcome` where the arm moved, `refused` and why where it would not."""
     try:
-        return {"outcome": workcell.execute(PickPlace.from_array(np.asarray(action, float)))}
+        return {"outcome": workcell.execute(PickPlace.from_array(action))}
     except (LimitError, ReachError) as error:
         return {"refused": str(error)}

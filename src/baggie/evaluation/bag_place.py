@@ -59,7 +59,7 @@ def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
     raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
     where: dict[str, Any] = {"scenery": options.scenery}
     if options.workcell is not None:
-        where = {"workcell": str(options.workcell), "workcell_says": _says(options.workcell)}
+        where = {"workcell_says": _says(options.workcell)}
     return {
         **where,
         "goal": options.goal,

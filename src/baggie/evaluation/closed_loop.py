@@ -26,6 +26,8 @@ from baggie.progress import progress_bar
 
 __all__ = ["EvaluateOptions", "OpenBench", "evaluate"]
 
+_LATER = frozenset({"device", "calibration", "workcell_says"})
+"""What older versions did not write down of an evaluation."""
 OpenBench = Callable[[EvaluateOptions], Any]
 """Makes a cell and the policy in it, a bench of the task's kind (`baggie.evaluation.kind`); called once in each
 process, so it must be a function of a module.
@@ -69,7 +71,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
         "policy": name,
         "run": Path(options.policy).name,
         "task": options.task,
-        "cell": options.cell,
+        **_place(options),
         **conditions,
         **kind.measure([episodes[number] for number in range(options.episodes)], options),
         "provenance": provenance([options.seed]),
@@ -98,9 +100,14 @@ def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
         console.print(f"warning: {options.policy} belongs to cell {trained_in}, not to cell {options.cell}")
 
 
+def _place(options: EvaluateOptions) -> dict[str, Any]:
+    """Which workcell it is in: a file's or, simulated, one with a number."""
+    return {"cell": options.cell} if options.workcell is None else {"workcell": str(options.workcell)}
+
+
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:
     """Never mix two evaluations in one folder: the log belongs to one policy, one stream of scenes, and all else that
-    decides how an episode ends. What an older version did not write down is taken to be the same.
+    decides how an episode ends. What older versions did not write down is taken to be the same.
     """
     path = options.out / "evaluation.json"
     asked = {
@@ -108,15 +115,16 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
         "fingerprint": fingerprint(options.policy),
         "task": options.task,
         "seed": options.seed,
-        "cell": options.cell,
+        **_place(options),
         "device": options.device,
         **conditions,
     }
     found = json.loads(path.read_text()) if path.exists() else {}
     for key, value in asked.items():
-        if found.get(key, UNKNOWN) not in (UNKNOWN, value):
+        told = found.get(key, UNKNOWN if key in _LATER or not found else None)
+        if told not in (UNKNOWN, value):
             raise BaggieError(
-                f"{options.out} holds an evaluation with {key} {found[key]}, not {value}; "
+                f"{options.out} holds an evaluation with {key} {told}, not {value}; "
                 "give another --out, or remove it to start again"
             )
     if found != found | asked:

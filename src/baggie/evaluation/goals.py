@@ -15,6 +15,7 @@ from baggie.errors import BaggieError
 from baggie.evaluation.bench import Bench, EvaluationCell
 from baggie.evaluation.options import GoalKind
 from baggie.geometry import PlanarPose
+from baggie.seeds import first_fit
 from baggie.types import Goal, Observation
 from baggie.vision.goal_card import find_card
 
@@ -41,11 +42,12 @@ def draw_goal(cell: EvaluationCell, kind: GoalKind, stream: Sequence[int]) -> Pl
     rng = seeds.generator(*stream, _GOALS)
     second = cell.second_truth()
     occupied = [*cell.obstacles(), *([second] if second else [])]
-    for _ in range(_TRIES):
-        pose = random_place(cell.settings.workspace, cell.truth(), rng)
-        if all(pose.distance(other) >= CLEARANCE_M for other in occupied):
-            break
-    else:
+    pose = first_fit(
+        lambda: random_place(cell.settings.workspace, cell.truth(), rng),
+        lambda place: all(place.distance(other) >= CLEARANCE_M for other in occupied),
+        _TRIES,
+    )
+    if pose is None:
         raise BaggieError(
             f"expected room for a goal {CLEARANCE_M * 100:.0f} cm from each of {len(occupied)} things on the table, "
             f"found none in {_TRIES} tries; clear the workspace ({cell.settings.workspace})"

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from baggie.errors import BaggieError
+from baggie.errors import UsageError
 from baggie.policies import ColorMaskPolicy, OraclePolicy
+from baggie.ranges import Count, Number, Options, Positive, Seed, Workers
 from baggie.sim.tasks import TASKS as BLOCK_TASKS
 from baggie.sim.variety import Scenery
 
@@ -20,7 +21,7 @@ _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration"
 
 
 @dataclass(frozen=True)
-class EvaluateOptions:
+class EvaluateOptions(Options):
     """Run a policy in the closed loop on unseen scenes, and measure how often it does its task.
 
     Again with the same words it goes on where it stopped; with more episodes it adds to those it has.
@@ -36,11 +37,11 @@ class EvaluateOptions:
     """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
     block-pyramid, place-red-in-green, align-box-corner.
     """
-    episodes: int = 100
+    episodes: Count = 100
     """How many scenes."""
-    seed: int = 0
+    seed: Seed = 0
     """Names the scenes; no seed of `collect` ever gives one of them."""
-    cell: int = 0
+    cell: Seed = 0
     """The workcell; a policy belongs to the one it was trained in."""
     workcell: Path | None = None
     """bag-place: a workcell file. Try it there, on a real arm, one scene after the other as they come; its map from the
@@ -54,15 +55,15 @@ class EvaluateOptions:
     """bag-place: marked in the picture, square to the workspace; at any angle; or a real green card that has to be
     found.
     """
-    radius_cm: float = 2.0
+    radius_cm: Positive = 2.0
     """bag-place: a bag this near the middle of its goal is a success."""
-    retries: int = 2
+    retries: Number = 2
     """bag-place: how often to look again when the gripper noticed that it missed. With blocks that takes a step."""
     device: Literal["cpu", "cuda", "mps"] = "cpu"
     """Where a policy that was trained computes."""
-    workers: int | None = None
+    workers: Workers | None = None
     """Processes, each with a workcell of its own; as many as there are cores unless given."""
-    film: int = 2
+    film: Number = 2
     """How many of the first episodes to make a video of."""
     calibration: Path | None = None
     """bag-place: a recording of this cell, for its map: `color-mask` plans with it, `--goal card` allows for a bag's
@@ -70,21 +71,14 @@ class EvaluateOptions:
     """
 
     def check(self) -> None:
-        """Raise `BaggieError` for what cannot be evaluated."""
+        """Raise `UsageError` for what cannot be evaluated."""
         for name, chosen, known in (
             ("task", self.task, TASKS),
             ("scenery", self.scenery, get_args(Scenery)),
             ("goal", self.goal, get_args(GoalKind)),
         ):
             if chosen not in known:
-                raise BaggieError(f"expected a {name} among {', '.join(known)}, got {chosen!r}")
-        for name, least in (("episodes", 1), ("seed", 0), ("cell", 0), ("retries", 0), ("film", 0)):
-            if getattr(self, name) < least:
-                raise BaggieError(f"expected --{name} of at least {least}, got {getattr(self, name)}")
-        if self.workers is not None and self.workers < 1:
-            raise BaggieError(f"expected --workers of at least 1, got {self.workers}")
-        if self.radius_cm <= 0:
-            raise BaggieError(f"expected --radius-cm above 0, got {self.radius_cm}")
+                raise UsageError(f"expected a {name} among {', '.join(known)}, got {chosen!r}")
         if self.of_blocks:
             self._check_blocks()
         elif self.workcell is not None:
@@ -103,26 +97,26 @@ class EvaluateOptions:
     def _check_real(self) -> None:
         given = f"with --workcell {self.workcell}, "
         if self.scenery != "plain" or self.goal == "card":
-            raise BaggieError(
+            raise UsageError(
                 f"expected --scenery plain and --goal virtual or turned {given}got {self.scenery} and {self.goal}; "
                 "nobody lays another table or a card there between scenes"
             )
         if self.policy == OraclePolicy.name:
-            raise BaggieError(
+            raise UsageError(
                 f"expected a policy that looks {given}got {self.policy}: nobody knows the truth there"
             )
         if self.processes != 1:
-            raise BaggieError(f"expected --workers 1 {given}which has one arm, got {self.workers}")
+            raise UsageError(f"expected --workers 1 {given}which has one arm, got {self.workers}")
 
     def _check_blocks(self) -> None:
         for name in _OF_BAGS:
             if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
-                raise BaggieError(
+                raise UsageError(
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
                     "take --task bag-place"
                 )
         if self.policy == ColorMaskPolicy.name:
-            raise BaggieError(
+            raise UsageError(
                 f"expected a policy that looks at height maps with --task {self.task}, got {self.policy}, which finds "
                 "bags; give the folder of a transporter run, or oracle"
             )

@@ -43,6 +43,12 @@ def closed_loop(evaluations: Sequence[Evaluation], main: str, colors: figures.Co
     causes = dict.fromkeys(cause for e in evaluations for cause in e.metrics["failures"])
     distances = {e.policy: e.distances_cm() for e in evaluations}
     offsets = {e.policy: e.offsets_cm() for e in evaluations}
+    about += [
+        f"{evaluation.policy} was tried on a real arm ({evaluation.workcell}), where each scene begins where the one "
+        "before it ended, and bags are where the camera sees them."
+        for evaluation in evaluations
+        if evaluation.workcell is not None
+    ]
     raised = {e.metrics["card_raised"] for e in evaluations if "card_raised" in e.metrics}
     if raised:
         about.append(f"A real card lies on the table; its corners were {_RAISED[min(raised), max(raised)]}.")
@@ -74,9 +80,16 @@ def closed_loop(evaluations: Sequence[Evaluation], main: str, colors: figures.Co
             ),
         ],
         "plans": _plans(evaluations),
+        "known_by": _known_by({e.workcell is None for e in evaluations}),
         "failures": [*failures, {"cause": "all", "counts": totals}],
         "cases": cases,
     }
+
+
+def _known_by(simulated: set[bool]) -> str:
+    """Who says where bags are: a simulator, the cameras of real workcells, or, each in its own, both."""
+    names = {True: "the truth", False: "what the camera saw"}
+    return " or ".join(names[kind] for kind in sorted(simulated, reverse=True))
 
 
 def _plans(evaluations: Sequence[Evaluation]) -> Content:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
@@ -29,6 +28,7 @@ from baggie.evaluation.report_items import (
     Validation,
 )
 from baggie.files import only_ours
+from baggie.text_files import read_yaml
 
 _EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
 """What TensorBoard's writer calls its files: time, machine, process and count."""
@@ -67,8 +67,15 @@ def gather(folders: Sequence[Path]) -> Results:
         return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
 
     def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
-        """Each under its conditions: a policy is as many rows as there are tests it was put to."""
-        return [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        """Each under its conditions: a policy is as many rows as there are tests it was put to. Its first workcell, a
+        simulated one where there is one, goes without saying.
+        """
+        items = [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        items = sorted(items, key=lambda i: i.workcell is not None)
+        first = {i.policy: i.place for i in reversed(items)}
+        return [
+            replace(i, policy=f"{i.policy}, {i.place}") if i.place != first[i.policy] else i for i in items
+        ]
 
     bags = named(evaluations)
     tests = Counter(item.policy for item in [*bags, *named(blocks)])
@@ -97,7 +104,7 @@ def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | N
     for place in places:
         try:
             item = read(place)
-        except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+        except (OSError, DataError, ValueError, KeyError, TypeError) as error:
             raise DataError(f"cannot read the results in {place}: {error!r}; make them again") from error
         if item is not None:
             found.append(item)
@@ -107,7 +114,7 @@ def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | N
 def _training(folder: Path) -> Training | None:
     if (metrics := _finished(folder)) is None:  # or somebody else's config.yaml
         return None
-    config = yaml.safe_load((folder / "config.yaml").read_text())
+    config = read_yaml(folder / "config.yaml")
     return Training(folder, str(config["policy"]), folder.name, metrics, config, _scalars(folder))
 
 

@@ -93,9 +93,21 @@ class Evaluation(Tried):
     episodes: list[episode.Episode]
 
     @property
+    def workcell(self) -> str | None:
+        """The file of the real one, whose camera is all that knows where bags are; None where it was simulated."""
+        return self.metrics.get("workcell")
+
+    @property
+    def place(self) -> str:
+        """Which workcell it was in."""
+        return self.workcell or f"cell {self.metrics['cell']}"
+
+    @property
     def conditions(self) -> str:
-        """In what it differs from the plain closed loop: scenery and how goals were given; empty for nothing."""
-        scenery, goal = self.metrics["scenery"], self.metrics["goal"]
+        """In what it differs from the plain closed loop: scenery, of a simulated cell, and how goals were given; empty
+        for nothing.
+        """
+        scenery, goal = self.metrics.get("scenery", "plain"), self.metrics["goal"]
         return ", ".join(
             [*([scenery] if scenery != "plain" else []), *([_GOALS[goal]] if goal != "virtual" else [])]
         )

@@ -13,6 +13,7 @@ from baggie.evaluation.results import provenance, write_json
 from baggie.evaluation.subjects import open_policy
 from baggie.evaluation.validation_pictures import Scene, save_pictures
 from baggie.evaluation.would_count import would_count
+from baggie.ranges import Count, Options
 
 WORST = 10
 CAMERA, HEIGHT_MAPS = "camera", "height maps"
@@ -20,7 +21,7 @@ CAMERA, HEIGHT_MAPS = "camera", "height maps"
 
 
 @dataclass(frozen=True)
-class ValidateOptions:
+class ValidateOptions(Options):
     """Measure pick and place errors on attempts the policy never learned from.
 
     Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
@@ -32,7 +33,7 @@ class ValidateOptions:
     """The recording."""
     out: Path
     """Where metrics.json, predictions.json and pictures/ go."""
-    last: int = 50
+    last: Count = 50
     """For a policy that was not trained: how many successful attempts, from the end, to measure it on."""
     calibration: Path | None = None
     """For `color-mask`: its image-to-robot map. By default the one in the recording's calibration/ folder."""

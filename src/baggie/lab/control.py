@@ -38,9 +38,9 @@ class LabControl:
         bag = self._ask("POST", "reset", seed=seed)["bag"]
         return PlanarPose(bag["x"], bag["y"], bag["yaw"])
 
-    def lay_bag(self, pose: PlanarPose) -> None:
-        """Put the bag somewhere else."""
-        self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw)
+    def lay_bag(self, pose: PlanarPose, *, undented: bool = False) -> None:
+        """Put the bag somewhere else; the dents that grasps left in it stay unless `undented`."""
+        self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw, undented=int(undented))
 
     def show_paddle(self, shown: bool) -> None:
         """Put the calibration paddle into the hand, or take it away; see `baggie.workcell.workcell.Marker`."""

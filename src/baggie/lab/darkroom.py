@@ -16,7 +16,6 @@ from baggie.geometry import FloatArray
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.renderer import CameraRenderer
-from baggie.sim.scene import camera_quaternion
 from baggie.sim.sensor import Exposure
 from baggie.sim.world import World
 from baggie.types import Image
@@ -44,14 +43,10 @@ class Moment:
 
     def lay_out(self, world: ArmWorld) -> None:
         """Make a world of the same cell look as it did then."""
-        world.cell, camera = self.cell, world.model.camera("top")
-        camera.pos[:], camera.quat[:] = (
-            self.cell.camera_position,
-            camera_quaternion(self.cell.camera_rotation),
-        )
+        world.place_camera(self.cell)
         world.model.geom_rgba[:] = self.colors
         mujoco.mj_setState(world.model, world.data, self.state, _STATE)
-        mujoco.mj_forward(world.model, world.data)
+        world.update_fixed()
 
 
 class Darkroom:

@@ -151,14 +151,17 @@ class Lab:
         self.robot.hold()
         self.fci.hold()
 
-    def lay_bag(self, pose: PlanarPose) -> None:
-        """Put the bag, undented, somewhere else, as a person would. Raises `BaggieError` where no person would."""
+    def lay_bag(self, pose: PlanarPose, *, undented: bool) -> None:
+        """Put the bag somewhere else, as a person would; its dents stay unless `undented`.
+
+        Raises `BaggieError` where no person would.
+        """
         if not (abs(pose.x) <= WITHIN_M and abs(pose.y) <= WITHIN_M and math.isfinite(pose.yaw)):
             raise BaggieError(
                 f"expected x and y within {WITHIN_M:g} m of the robot and a finite yaw, got {pose.x:g}, {pose.y:g} and "
                 f"{pose.yaw:g}"
             )
-        self.world.put_bag(pose)
+        self.world.put_bag(pose, undented=undented)
 
     def moment(self) -> Moment:
         """The scene as it is now, for the darkroom to draw."""

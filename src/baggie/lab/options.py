@@ -5,23 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from baggie.errors import BaggieError
+from baggie.errors import UsageError
+from baggie.ranges import NotNegative, Options, Port, Seed
 
 
 @dataclass(frozen=True)
-class LabOptions:
+class LabOptions(Options):
     """What is in the lab, and where it is reached."""
 
-    cell: int = 0
+    cell: Seed = 0
     """Number of the simulated workcell: camera, lens, lights, table."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the scene: where the bag lies at first."""
     host: str = "127.0.0.1"
     """Address to listen at. The robot's ports there, 1337 and 1338, are given by its protocol; a second lab on the
     same computer takes another address, such as 127.0.0.2."""
-    camera_port: int = 8090
+    camera_port: Port = 8090
     """Port of the camera's stream and of the control channel; 0 for any that is free."""
-    pace: float = 1.0
+    pace: NotNegative = 1.0
     """How many times as fast as real time it may go at most; 0: as fast as it can."""
     fault: tuple[str, ...] = ()
     """What goes wrong: NAME, or NAME:AFTER with seconds of the lab's time; see docs/lab.md for the names."""
@@ -29,19 +30,14 @@ class LabOptions:
     """Where to write the workcell file, which is printed in any case."""
 
     def check(self) -> None:
-        """Raise `BaggieError` for what makes no lab."""
-        for name, least in (("cell", 0), ("seed", 0), ("camera_port", 0), ("pace", 0)):
-            if not getattr(self, name) >= least:
-                raise BaggieError(
-                    f"expected --{name.replace('_', '-')} of at least {least}, got {getattr(self, name)}"
-                )
+        """Raise `UsageError` for what makes no lab."""
         self.faults()
 
     def faults(self) -> list[tuple[str, float]]:
-        """Names of faults, and when they come. Raises `BaggieError` for what is neither."""
+        """Names of faults, and when they come. Raises `UsageError` for what is neither."""
         try:
             return [
                 (name, float(after or 0)) for name, _, after in (words.partition(":") for words in self.fault)
             ]
         except ValueError:
-            raise BaggieError(f"expected --fault NAME or NAME:SECONDS, got {' '.join(self.fault)}") from None
+            raise UsageError(f"expected --fault NAME or NAME:SECONDS, got {' '.join(self.fault)}") from None

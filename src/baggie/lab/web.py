@@ -3,7 +3,7 @@
 GET  /camera.mjpg
 GET  /truth
 POST /reset?seed=3
-POST /bag?x=0.5&y=0.1&yaw=0
+POST /bag?x=0.5&y=0.1&yaw=0&undented=1
 POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
 """
@@ -87,9 +87,10 @@ class _Handler(BaseHTTPRequestHandler):
                     seed = _whole(words, "seed", lab.seed)
                     lab.call(lambda: lab.reset(seed))
                 case "/bag":
-                    _check_known(words, "x", "y", "yaw")
+                    _check_known(words, "x", "y", "yaw", "undented")
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
-                    lab.call(lambda: lab.lay_bag(pose))
+                    undented = _whole(words, "undented", 0, most=1) == 1
+                    lab.call(lambda: lab.lay_bag(pose, undented=undented))
                 case "/paddle":
                     _check_known(words, "shown")
                     shown = _whole(words, "shown", most=1) == 1

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from baggie.errors import BaggieError
+from annotated_types import Interval
+
+from baggie.errors import UsageError
 from baggie.policies.features import Backbone
 from baggie.policies.resnet import Statistics
 from baggie.policies.transporter.config import Preset
+from baggie.ranges import Color, Count, NotNegative, Number, Options, Seed, Share
 from baggie.types import DrawnStyle
 
 _OF = {
@@ -28,7 +31,7 @@ _WHY = {
 
 
 @dataclass(frozen=True)
-class TrainOptions:
+class TrainOptions(Options):
     """Teach a policy from recorded attempts. Run again with the same words, it goes on where it was stopped.
 
     Example: baggie train --policy keypoint --data recordings/bags --out runs/keypoint
@@ -44,13 +47,13 @@ class TrainOptions:
     """`keypoint` is ours; `regression` the published baseline; `transporter` for precision, on height maps or
     a camera's pictures with a map to the robot.
     """
-    train: int = 200
+    train: Count = 200
     """How many attempts to learn from: the first successful ones, by attempt id. transporter: how many episodes."""
-    val: int = 50
+    val: Number = 50
     """How many attempts, or episodes, to measure on: the next successful ones."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the first weights and of all batches."""
-    steps: int | None = None
+    steps: Count | None = None
     """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression, 3,200 of 4 for
     transporter."""
     device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
@@ -59,7 +62,7 @@ class TrainOptions:
     """
     goal_style: DrawnStyle = "solid"
     """How goals are painted into pictures: for regression, transporter, and keypoint with --goal-input painted."""
-    goal_color: tuple[int, int, int] = (0, 200, 0)
+    goal_color: Color = (0, 200, 0)
     """The colour of painted goals, RGB."""
     goal_input: Literal["region", "painted"] = "region"
     """keypoint: whether a goal is a channel of its own, or is painted into the picture as it is for regression."""
@@ -71,33 +74,27 @@ class TrainOptions:
     """regression: what its batch normalisation goes by once trained. `running` averages, as published; or each
     `picture`'s own, as it learned from batches of one.
     """
-    new_looks: float = 0.25
+    new_looks: Share = 0.25
     """keypoint: the share of pictures with cloth, shape, table and clutter drawn anew, to know bags of any kind."""
     preset: Preset = "fast"
     """transporter: `fast` is ours; `paper` has the published sizes and takes 200 times as long a map."""
-    symmetry: int | None = None
+    symmetry: Annotated[int, Interval(ge=0, le=360)] | None = None
     """transporter: how often a turn all that is picked looks the same, 4 for square blocks, 0 at any angle; as the
     recording says unless given. Where it says nothing: by the boxes in a camera's pictures 4, or 2 where most are long;
     else 1.
     """
     pick_yaw: bool = False
     """transporter: whether a gripper has to be turned to pick; a suction cup has not. Implied where it was turned."""
-    rearranged: float | None = None
+    rearranged: Share | None = None
     """transporter: the share of maps in which everything that stands alone is put elsewhere by itself: from few
     demonstrations that teaches most. Give 0 where it matters how things lie to each other that are not picked.
     By default half for fast, none for paper.
     """
-    save_every_s: float = 30.0
+    save_every_s: NotNegative = 30.0
     """Seconds between saves of the state: what a kill can cost."""
 
     def check(self) -> None:
-        """Raise `BaggieError` for what is out of range, does not go together, or would be ignored."""
-        for name, share in (("new-looks", self.new_looks), ("rearranged", self.rearranged or 0.0)):
-            if not 0 <= share <= 1:
-                raise BaggieError(
-                    f"expected --{name} to be a share of the pictures, 0 to 1, got {share}; give 0.25 for a quarter of "
-                    "them"
-                )
+        """Raise `UsageError` for what does not go together, or would be ignored."""
         for names, policies in _OF.items():
             if self.policy not in policies:
                 where = f"--policy {self.policy}, {_WHY[self.policy]}"
@@ -108,7 +105,7 @@ class TrainOptions:
             where = "--goal-input region, which paints no goals"
             self._expect_default(("goal_style", "goal_color"), where, "add --goal-input painted")
         if self.weights is not None and self.backbone != "resnet18":
-            raise BaggieError(
+            raise UsageError(
                 f"--weights are those of a ResNet-18, but keypoint's backbone is {self.backbone}: "
                 "add --backbone resnet18"
             )
@@ -116,6 +113,6 @@ class TrainOptions:
     def _expect_default(self, names: Sequence[str], where: str, remedy: str) -> None:
         for name in names:
             if (given := getattr(self, name)) != getattr(TrainOptions, name):
-                raise BaggieError(
+                raise UsageError(
                     f"expected no --{name.replace('_', '-')} with {where}, got {given}; leave it out, or {remedy}"
                 )

@@ -62,7 +62,7 @@ def train(
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
-    steps = options.steps or recipe.steps
+    steps = recipe.steps if options.steps is None else options.steps
     recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from baggie.errors import BaggieError
-from baggie.types import Goal, Image, Observation
+from baggie.types import Goal, Image, Observation, seen
 from baggie.vision.draw import check_goal
 
 
@@ -12,8 +12,8 @@ def as_trained(observation: Observation, goal: Goal, size: tuple[int, int]) -> t
 
     Raises `BaggieError` when the goal leaves the picture, or the picture has another shape than those.
     """
-    check_goal(goal, observation.size)
-    (width, height), (to_width, to_height) = observation.size, size
+    (width, height), (to_width, to_height) = seen(observation).size, size
+    check_goal(goal, (width, height))
     if abs(width * to_height - height * to_width) > max(to_width, to_height):
         raise BaggieError(
             f"this policy was trained on pictures of {to_width} x {to_height} pixels, but got one of {width} x "

@@ -16,6 +16,7 @@ import yaml
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
 
 from baggie.errors import DataError, WriteError
+from baggie.text_files import read_yaml
 
 CONFIG = "config.yaml"
 WEIGHTS = "policy.safetensors"
@@ -79,10 +80,10 @@ def read_config(folder: Path) -> dict[str, Any]:
     """The content of `config.yaml`. Raises `DataError` when it is missing or no policy's."""
     path = folder / CONFIG
     try:
-        config = yaml.safe_load(path.read_text())
+        config = read_yaml(path)
     except FileNotFoundError:
         raise DataError(f"{path} is missing: give the folder of a training run that has finished") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+    except (OSError, DataError):
         raise DataError(f"{path} cannot be read: it is damaged; train again or take a copy") from None
     if not isinstance(config, dict) or "policy" not in config:
         raise DataError(f"{path} does not describe a policy: give the folder of a training run")

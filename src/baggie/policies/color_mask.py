@@ -14,7 +14,8 @@ from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.policies.base import Policy
-from baggie.types import Goal, Observation, PickPlace, Plan, marked
+from baggie.text_files import read_yaml
+from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
@@ -37,7 +38,7 @@ class ColorMaskPolicy(Policy):
         Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
         picture has another shape than those the map was fitted to.
         """
-        width, height = observation.size
+        width, height = seen(observation).size
         goal = marked(goal)
         u, v = goal.center
         if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
@@ -69,11 +70,15 @@ class ColorMaskPolicy(Policy):
         """Read what `save` wrote. Raises `DataError` when a file is missing or of another policy."""
         path = folder / CONFIG_FILE
         try:
-            config = yaml.safe_load(path.read_text())
+            config = read_yaml(path)
             if config["policy"] != cls.name:
                 raise ValueError(f"policy {config['policy']}")
             red, green, blue = (int(value) for value in config["object_color"])
-        except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        except OSError as error:
+            raise DataError(
+                f"no {cls.name} policy at {path} ({error.strerror}); give the folder of a recording of this cell"
+            ) from None
+        except (DataError, KeyError, TypeError, ValueError) as error:
             raise DataError(
                 f"expected a {cls.name} policy in {path}, got {error!r}; give its folder"
             ) from error

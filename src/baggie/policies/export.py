@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from baggie.errors import BaggieError, DataError
+from baggie.extras import install_extra
 from baggie.policies import checkpoint, load_policy, regression_plan
 from baggie.policies.exported import Graph
 from baggie.policies.keypoint import KeypointPolicy
@@ -136,7 +137,7 @@ def export_policy(policy: LearnedPolicy, folder: Path) -> dict[str, float]:
     exportable = Exportable.of(policy)
     missing = [name for name in ("onnx", "onnxruntime") if find_spec(name) is None]
     if missing:
-        raise BaggieError(f'exporting needs {" and ".join(missing)}: pip install "baggie[export]"')
+        raise BaggieError(f"exporting needs {' and '.join(missing)}: {install_extra('export')}")
     if (folder / checkpoint.WEIGHTS).exists():
         raise DataError(f"{folder} holds a training run: give --out another folder")
     content = exportable.onnx()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.errors import DataError
+from baggie.extras import install_extra
 from baggie.policies import checkpoint, keypoint_plan, regression_plan
 from baggie.policies.base import Policy
 from baggie.policies.keypoint_plan import Float32, GoalInput, Reading
@@ -30,7 +31,7 @@ class Graph:
             import onnxruntime  # noqa: PLC0415 -- an extra
         except ModuleNotFoundError:
             raise DataError(
-                f'{path} needs onnxruntime, which is not installed here: pip install "baggie[deploy]"'
+                f"{path} needs onnxruntime, which is not installed here: {install_extra('deploy')}"
             ) from None
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = max(cv2.getNumThreads(), 1)

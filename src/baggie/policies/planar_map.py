@@ -12,6 +12,8 @@ from baggie.geometry import FloatArray
 
 _ITERATIONS = 20
 """Of the fit; it settles in about five."""
+_FAR = 4
+"""A start with so many times another one's loss is none."""
 
 
 def apply(matrix: Tensor, points: Tensor) -> Tensor:
@@ -93,9 +95,6 @@ class PlanarMap(nn.Module):
         Raises `DataError` when there are too few pairs, or they lie in one line.
         """
         source, target = np.asarray(points, float), np.asarray(xy, float)
-        start = cv2.findHomography(source, target, cv2.LMEDS)[0] if len(source) >= 4 else None
-        if start is None:
-            raise DataError(f"a map from picture to robot needs at least 4 spread points, got {len(source)}")
         pixels = torch.from_numpy(source)
         noise = np.repeat(np.broadcast_to(np.asarray(noise_m, float), len(source)), 2)
 
@@ -104,8 +103,13 @@ class PlanarMap(nn.Module):
                 mapped = torch.func.functional_call(self, _named(theta), (pixels,))
             return np.asarray(mapped.numpy() - target).ravel()
 
+        def loss(theta: FloatArray) -> float:
+            off = np.linalg.norm(residuals(theta).reshape(-1, 2), axis=1) / noise[::2]
+            return float(np.where(off < 2, off**2, 4 * off - 4).sum())
+
         prior = np.r_[np.zeros(8), np.full(2, 1 / 0.2), np.full(2, 1 / 0.1)]
-        theta = np.r_[(start / start[2, 2]).ravel()[:8], np.zeros(4)]
+        robust, least_squares = _starts(source, target)
+        theta = robust if loss(robust) <= _FAR * loss(least_squares) else least_squares
         steps = 1e-6 * np.eye(len(theta))
         for _ in range(_ITERATIONS):
             r = residuals(theta)
@@ -116,6 +120,19 @@ class PlanarMap(nn.Module):
             theta = theta - np.linalg.lstsq(a, np.r_[r * weight, prior * theta], rcond=None)[0]
         self.load_state_dict(_named(theta))
         return residuals(theta).reshape(-1, 2)
+
+
+def _starts(source: FloatArray, target: FloatArray) -> list[FloatArray]:
+    """Two homographies, without a lens: one that sees past many wrong pairs, and one that heeds all.
+
+    Of few pairs half may tell of the same four places: the first then fits these and nothing else.
+    Raises `DataError` when there are too few pairs, or they lie in one line.
+    """
+    methods = (cv2.LMEDS, 0) if len(source) >= 4 else ()
+    found = [h for method in methods if (h := cv2.findHomography(source, target, method)[0]) is not None]
+    if len(found) < 2:
+        raise DataError(f"a map from picture to robot needs at least 4 spread points, got {len(source)}")
+    return [np.r_[(h / h[2, 2]).ravel()[:8], np.zeros(4)] for h in found]
 
 
 def _named(theta: FloatArray) -> dict[str, Tensor]:

@@ -104,14 +104,28 @@ class ArmWorld:
 
     def bump_camera(self, shift_m: FloatArray, turn_rad: FloatArray) -> None:
         """Move the camera for good: `shift_m` `(3,)` along the base frame's axes, `turn_rad` `(3,)` about its own."""
-        self.cell = replace(
+        bumped = replace(
             self.cell,
             camera_position=self.cell.camera_position + shift_m,
             camera_rotation=self.cell.camera_rotation @ Rotation.from_rotvec(turn_rad).as_matrix(),
         )
-        camera = self.model.camera("top")
-        camera.pos[:], camera.quat[:] = (
-            self.cell.camera_position,
-            camera_quaternion(self.cell.camera_rotation),
-        )
+        self.place_camera(bumped)
+        self.update_fixed()
+
+    def place_camera(self, cell: Cell) -> None:
+        """Put the camera where this cell, a bumped state of the world's own, has it; `update_fixed` has to follow."""
+        self.cell, camera = cell, self.model.camera("top")
+        camera.pos[:], camera.quat[:] = cell.camera_position, camera_quaternion(cell.camera_rotation)
+
+    # -- what does not move by itself ---------------------------------------------------------------------------
+
+    def update_fixed(self) -> None:
+        """Have everything where the model says after what is fixed was moved in it: cameras, lamps, the table.
+
+        With sleep enabled MuJoCo computes the poses of fixed things once after a reset, and what sleeps on one that
+        moves away hangs in the air; so this computes them without, which wakes everything.
+        """
+        flags = self.model.opt.enableflags
+        self.model.opt.enableflags = flags & ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         mujoco.mj_forward(self.model, self.data)
+        self.model.opt.enableflags = flags

@@ -172,9 +172,8 @@ def _build(
     scene.option.cone = (
         mujoco.mjtCone.mjCONE_ELLIPTIC
     )  # round friction cones: blocks do not creep, and cheaper
-    scene.option.enableflags |= (
-        mujoco.mjtEnableBit.mjENBL_SLEEP
-    )  # resting blocks stand still and cost nothing
+    # Blocks that rest on the table stand still and cost nothing; on a fixture, a mocap body, MuJoCo lets none sleep.
+    scene.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     add_depth_cameras(scene, cameras)
     add_seals(scene, [block.name for block in blocks])
     model = scene.compile()

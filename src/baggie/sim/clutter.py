@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.seeds import first_fit
 from baggie.sim.cell import PICTURE_SIZE, Cell
 from baggie.sim.colors import ALL_HUES, Color, random_hue, rgb
 from baggie.sim.distractors import Distractor, Kind
@@ -48,15 +50,20 @@ def draw_distractors(
         size, color, accent = _size(kind, rng), _color(rng, bag_hue), _color(rng, bag_hue)
         within = kinds is clutter.standing and inside > 0
         inside -= within
-        for _ in range(_TRIES):
-            x, y = (workspace if within else _TABLE).sample(rng)
-            thing = Distractor(
-                kind, PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi))), size, color, accent
-            )
-            if _fits(thing, things, cell, workspace, within):
-                things.append(thing)
-                break
+        area = workspace if within else _TABLE
+        thing = first_fit(
+            partial(_somewhere, area, rng, Distractor(kind, PlanarPose(0.0, 0.0), size, color, accent)),
+            partial(_fits, others=things, cell=cell, workspace=workspace, within=within),
+            _TRIES,
+        )
+        if thing is not None:
+            things.append(thing)
     return tuple(things)
+
+
+def _somewhere(area: Rectangle, rng: np.random.Generator, thing: Distractor) -> Distractor:
+    x, y = area.sample(rng)
+    return replace(thing, pose=PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi))))
 
 
 def _fits(

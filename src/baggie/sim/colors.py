@@ -6,6 +6,9 @@ import colorsys
 
 import numpy as np
 
+from baggie.errors import BaggieError
+from baggie.seeds import first_fit
+
 Color = tuple[int, int, int]
 """RGB, 0 to 255."""
 Hues = tuple[tuple[float, float], ...]
@@ -41,10 +44,23 @@ def random_hue(
     unlike: float | None = None,
     reserved: tuple[float, ...] = (GOAL_CARD_HUE, PADDLE_HUE),
 ) -> float:
-    """A hue from one of the bands, 60 degrees from `unlike` and 35 from the reserved ones."""
-    while True:
+    """A hue from one of the bands, 60 degrees from `unlike` and 35 from the reserved ones.
+
+    Raises `BaggieError` where the bands leave none.
+    """
+
+    def somewhere() -> float:
         low, high = bands[rng.integers(len(bands))]
-        hue = float(rng.uniform(low, high)) % 360.0
-        apart = unlike is None or hue_distance(hue, unlike) >= APART
-        if apart and all(hue_distance(hue, other) >= RESERVED_APART for other in reserved):
-            return hue
+        return float(rng.uniform(low, high)) % 360.0
+
+    def apart(hue: float) -> bool:
+        unlike_that = unlike is None or hue_distance(hue, unlike) >= APART
+        return unlike_that and all(hue_distance(hue, other) >= RESERVED_APART for other in reserved)
+
+    hue = first_fit(somewhere, apart)
+    if hue is None:
+        raise BaggieError(
+            f"expected bands with a hue {APART:.0f} degrees from {unlike} and {RESERVED_APART:.0f} from each of "
+            f"{reserved}, got {bands}; widen them"
+        )
+    return hue

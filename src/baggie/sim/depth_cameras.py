@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.gl import require_backend
-from baggie.sim.renderer import DETAILED_GROUP
+from baggie.sim.renderer import DETAILED_GROUP, OffScreen
 from baggie.sim.scene import camera_quaternion
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import Image, Intrinsics, Observation
@@ -41,11 +40,10 @@ class DepthRenderer:
     """
 
     def __init__(self, world: ArmWorld, size: tuple[int, int]) -> None:
-        """`size`: `(width, height)` of all pictures, pixels."""
-        require_backend()
+        """`size`: `(width, height)` of all pictures, pixels. Raises `BaggieError` where nothing can render."""
         width, height = size
         self._world = world
-        self._renderer = mujoco.Renderer(world.model, height, width)
+        self._off_screen = OffScreen(world, size)
         self._shown = mujoco.MjvOption()
         self._shown.geomgroup[DETAILED_GROUP] = 0
         self._sensor = Sensor(size, vignette=0.0, depth_noise_m=DEPTH_NOISE_M)
@@ -64,11 +62,11 @@ class DepthRenderer:
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._renderer.close()
+        self._off_screen.close()
 
     def _ideal(self, name: str) -> tuple[Image, NDArray[np.float32]]:
         """`(H, W, 3)` uint8 RGB and `(H, W)` metres along the optical axis."""
-        renderer = self._renderer
+        renderer = self._off_screen.renderer()
         renderer.update_scene(self._world.data, name, self._shown)
         # MuJoCo's wrapper renders once for colour and once more for depth; there is no public way to read both.
         renderer._gl_context.make_current()

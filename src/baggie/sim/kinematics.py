@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from baggie.geometry import (
     from_vector,
     hand_matrix,
     invert_transform,
+    nearest_angle,
     to_vector,
     tool_pose,
     wrap_angle,
@@ -26,6 +28,9 @@ CONTROL_PERIOD_S = 0.02
 POSITION_TOLERANCE_M = 0.0005
 ROTATION_TOLERANCE_RAD = 0.002
 _STEP = 0.03  # metres and, for yaw, radians/5 between two solutions; between them joints are interpolated
+
+Line = Callable[[FloatArray, ToolPose], FloatArray]
+"""Joint positions `(N, J)` on the way from some `(J,)` to a pose."""
 
 
 class Kinematics:
@@ -59,8 +64,38 @@ class Kinematics:
     def line(self, start: FloatArray, target: ToolPose) -> FloatArray:
         """Joint positions `(N, J)` along the straight line from `start` `(J,)` to `target`, both ends included.
 
-        Raises `ReachError` when the arm cannot follow it within its joint limits.
+        A yaw is taken modulo a turn: the tool turns the shorter way, or the other if only that can be. Raises
+        `ReachError` when the arm can follow it neither way within its joint limits.
         """
+        here = self.tool_pose(start).yaw
+        shorter = nearest_angle(target.yaw, here)
+        longer = shorter - math.copysign(2 * math.pi, shorter - here)
+        try:
+            return self._line(start, replace(target, yaw=shorter))
+        except ReachError as error:
+            try:
+                return self._line(start, replace(target, yaw=longer))
+            except ReachError:
+                raise error from None
+
+    def turn(self, path: FloatArray) -> float:
+        """Radians, counterclockwise, that the tool turns in all along a joint path `(N, J)` of `line`."""
+        yaws = [self.tool_pose(q).yaw for q in path]
+        return sum(wrap_angle(after - before) for before, after in pairwise(yaws))
+
+    def turn_along(self, start: FloatArray, way: Sequence[ToolPose], line: Line | None = None) -> float:
+        """Radians that the tool turns in all, either way, from joints at `start` `(J,)` through the poses of `way`.
+
+        `line`: how from one to the next, the method `line` unless given; raises what that raises.
+        """
+        turned, line = 0.0, line or self.line
+        for target in way:
+            path = line(start, target)
+            turned, start = turned + abs(self.turn(path)), path[-1]
+        return turned
+
+    def _line(self, start: FloatArray, target: ToolPose) -> FloatArray:
+        """`line`, turning by the difference of the yaws as they are."""
         here = self.tool_pose(start)
         length = max(float(np.linalg.norm(target.xyz - here.xyz)), abs(target.yaw - here.yaw) / 5)
         count = max(int(np.ceil(length / _STEP)), 1)
@@ -93,24 +128,6 @@ class Kinematics:
             return solution
         tilt = np.arccos(np.clip(-transform[2, 2], -1.0, 1.0))
         raise self._unreachable(transform[:3, 3], f"tilted by {np.rad2deg(tilt):.0f} degrees")
-
-    def turned(self, start: FloatArray, target: ToolPose) -> ToolPose:
-        """`target` with the yaw, not wrapped, to which `line` turns the shorter way, or the other if only that can be.
-
-        Raises `ReachError` when it can be reached neither way.
-        """
-        here = self.tool_pose(start).yaw
-        shorter = wrap_angle(target.yaw - here)
-        longer = shorter - float(np.copysign(2 * np.pi, shorter))
-        errors = []
-        for turn in (shorter, longer):
-            turned = replace(target, yaw=here + turn)
-            try:
-                self.line(start, turned)
-                return turned
-            except ReachError as error:
-                errors.append(error)
-        raise errors[0]
 
     def shortest_times(
         self, path: FloatArray, speed_m_s: float, joint_speeds_rad_s: FloatArray

@@ -8,6 +8,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.seeds import first_fit
 
 OBSTACLE_M = 0.16
 """Between the middles of a bag and of what stands there: an open hand is 10 cm to each side, a thing 4."""
@@ -19,7 +20,6 @@ _GOAL_M, _GOAL_EDGE_M = 0.20, 0.03
 """How far goals are from the bag and from the workspace's edge."""
 _ROOM = 0.1
 """Of the places in the workspace, that a goal may have at least."""
-_TRIES = 1000
 
 
 def random_pose(workspace: Rectangle, rng: np.random.Generator) -> PlanarPose:
@@ -35,21 +35,27 @@ def lay_bags(
 
     Raises `BaggieError` where there is no room.
     """
-    for _ in range(_TRIES):
-        bag = random_pose(workspace, rng)
-        second = random_pose(workspace, rng) if two else None
+
+    def somewhere() -> tuple[PlanarPose, PlanarPose | None]:
+        return random_pose(workspace, rng), random_pose(workspace, rng) if two else None
+
+    def clear(laid: tuple[PlanarPose, PlanarPose | None]) -> bool:
+        bag, second = laid
         if second is not None and bag.distance(second) < BAGS_M:
-            continue
+            return False
         bags = [bag] if second is None else [bag, second]
         if any(pose.distance(other) < OBSTACLE_M for pose in bags for other in obstacles):
-            continue
+            return False
         others = [*obstacles, *bags[1:]]
-        if not others or _room(workspace, bag, others) >= _ROOM:
-            return bag, second
-    raise BaggieError(
-        f"expected a workspace with room for a bag and its goal beside {len(obstacles)} things that stand there, got "
-        f"{workspace}; make it larger"
-    )
+        return not others or _room(workspace, bag, others) >= _ROOM
+
+    laid = first_fit(somewhere, clear)
+    if laid is None:
+        raise BaggieError(
+            f"expected a workspace with room for a bag and its goal beside {len(obstacles)} things that stand there, "
+            f"got {workspace}; make it larger"
+        )
+    return laid
 
 
 def _room(workspace: Rectangle, bag: PlanarPose, others: Sequence[PlanarPose]) -> float:

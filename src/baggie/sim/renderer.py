@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.cell import PICTURE_SIZE, Cell
-from baggie.sim.gl import require_backend
+from baggie.sim.gl import claim, require_backend
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import Image, Observation
 from baggie.vision.targets import Target
@@ -33,27 +33,70 @@ class Scene(Protocol):
     def time(self) -> float: ...  # noqa: D102 -- a world's attribute
 
 
+class OffScreen:
+    """MuJoCo's renderer for a world, opened with the first picture: a process that takes none may be forked."""
+
+    def __init__(self, world: Scene, size: tuple[int, int], samples: int = 0) -> None:
+        """`size`: `(width, height)` of all pictures, pixels; `samples` of each, which smooth edges.
+
+        Raises `BaggieError` where nothing can render off screen.
+        """
+        require_backend()
+        self._world, self._size, self._samples = world, size, samples
+        self._opened: mujoco.Renderer | None = None
+
+    def renderer(self) -> mujoco.Renderer:
+        """It, with all that was printed in the world since. Raises `BaggieError` in a fork of who has rendered."""
+        if self._opened is None:
+            self._opened = self._open()
+            self._copied = dict(self._world.printed)
+        self._refresh(self._opened)
+        return self._opened
+
+    def close(self) -> None:
+        """Free the OpenGL context, if there is one."""
+        if self._opened is not None:
+            self._opened.close()
+
+    def _open(self) -> mujoco.Renderer:
+        claim()
+        width, height = self._size
+        quality = self._world.model.vis.quality
+        quality.offsamples = self._samples  # read when the context is made
+        opened = mujoco.Renderer(self._world.model, height, width)
+        quality.offsamples = 0
+        return opened
+
+    def _refresh(self, renderer: mujoco.Renderer) -> None:
+        """Copy what was printed since into the context's own textures, all of them fresh when it is made."""
+        for name, print_ in self._world.printed.items():
+            if self._copied.get(name) != print_:
+                # MuJoCo's wrapper has no public way to its context.
+                renderer._gl_context.make_current()
+                texture = self._world.model.texture(name).id
+                mujoco.mjr_uploadTexture(self._world.model, renderer._mjr_context, texture)
+                self._copied[name] = print_
+
+
 class CameraRenderer:
     """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
 
     def __init__(self, world: Scene) -> None:
-        require_backend()
+        """Raises `BaggieError` where nothing can render off screen."""
         self._world = world
         self._lens = world.cell.lens
-        width, height = PICTURE_SIZE
-        self._renderer = mujoco.Renderer(world.model, height, width)
-        self._textures = _Textures(world, self._renderer)
+        self._off_screen = OffScreen(world, PICTURE_SIZE)
         self._sensor = Sensor(PICTURE_SIZE)
         self._detailed = np.flatnonzero(world.model.geom_group == DETAILED_GROUP)
         self._hulls = np.flatnonzero(world.model.geom_group == HULL_GROUP)
 
     def look(self, exposure: Exposure, rng: np.random.Generator, depth: bool = True) -> Observation:
         """A picture of the world as it is now."""
-        self._textures.refresh()
+        renderer = self._off_screen.renderer()
         with self._arm_simplified():
-            self._renderer.update_scene(self._world.data, "top")
-        color = self._lens.distort(self._renderer.render())
-        measured = self._depth(rng) if depth else None
+            renderer.update_scene(self._world.data, "top")
+        color = self._lens.distort(renderer.render())
+        measured = self._depth(renderer, rng) if depth else None
         recorded = self._sensor.expose(color, exposure, rng)
         return Observation(recorded, measured, time=self._world.time)
 
@@ -82,34 +125,15 @@ class CameraRenderer:
         finally:
             groups[:] = usual
 
-    def _depth(self, rng: np.random.Generator) -> np.ndarray:
-        self._renderer.enable_depth_rendering()
-        ideal = self._renderer.render()
-        self._renderer.disable_depth_rendering()
+    def _depth(self, renderer: mujoco.Renderer, rng: np.random.Generator) -> np.ndarray:
+        renderer.enable_depth_rendering()
+        ideal = renderer.render()
+        renderer.disable_depth_rendering()
         return self._sensor.measure_depth(self._lens.distort(ideal), rng)
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._renderer.close()
-
-
-class _Textures:
-    """A renderer's own copies of the world's textures, all of them fresh when it is made."""
-
-    def __init__(self, world: Scene, renderer: mujoco.Renderer) -> None:
-        self._world = world
-        self._renderer = renderer
-        self._copied = dict(world.printed)
-
-    def refresh(self) -> None:
-        """Copy what was printed since."""
-        for name, print_ in self._world.printed.items():
-            if self._copied.get(name) != print_:
-                # MuJoCo's wrapper has no public way to its context.
-                self._renderer._gl_context.make_current()
-                texture = self._world.model.texture(name).id
-                mujoco.mjr_uploadTexture(self._world.model, self._renderer._mjr_context, texture)
-                self._copied[name] = print_
+        self._off_screen.close()
 
 
 class Film:
@@ -118,10 +142,7 @@ class Film:
     def __init__(self, world: ArmWorld, size: tuple[int, int], fps: float) -> None:
         self.frames: list[Image] = []
         self._world = world
-        world.model.vis.quality.offsamples = 4  # a film wants smooth edges; read when the context is made
-        self._renderer = mujoco.Renderer(world.model, size[1], size[0])
-        world.model.vis.quality.offsamples = 0
-        self._textures = _Textures(world, self._renderer)
+        self._off_screen = OffScreen(world, size, samples=4)
         self._period = 1.0 / fps
         self._next = world.time
 
@@ -131,11 +152,11 @@ class Film:
         if now < self._next - 1.5 * self._period:  # the world was reset
             self._next = now
         if now >= self._next:
-            self._textures.refresh()
-            self._renderer.update_scene(self._world.data, camera="film")
-            self.frames.append(self._renderer.render().copy())
+            renderer = self._off_screen.renderer()
+            renderer.update_scene(self._world.data, camera="film")
+            self.frames.append(renderer.render().copy())
             self._next += self._period
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._renderer.close()
+        self._off_screen.close()

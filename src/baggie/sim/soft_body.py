@@ -21,6 +21,7 @@ class SoftBody:
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)
         start = int(model.flex_vertadr[flex])
         self._vertices = slice(start, start + int(model.flex_vertnum[flex]))
+        self._dents = _plastic_state(model, flex)
         self._rest, _ = pillow(bag)
 
     @property
@@ -37,12 +38,14 @@ class SoftBody:
         yaw = np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
         return PlanarPose(float(center[0]), float(center[1]), float(yaw))
 
-    def put(self, pose: PlanarPose, height: float) -> None:
-        """Lay it, undented and at rest, with its centre `height` metres above the table."""
+    def put(self, pose: PlanarPose, height: float, *, undented: bool) -> None:
+        """Lay it, at rest, with its centre `height` metres above the table; its dents stay unless `undented`."""
         c, s = np.cos(pose.yaw), np.sin(pose.yaw)
         turned = self._home @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         self._data.qpos[self._positions] = turned + np.array([pose.x, pose.y, height]) - self._home
         self._data.qvel[self._velocities] = 0.0
+        if undented:
+            self._data.plastic[self._dents] = 0.0
 
     def carry_along(self, turn: Rotation, shift: FloatArray) -> None:
         """Move it as it is, turned about the base frame's origin and then shifted by `(3,)` metres."""
@@ -57,3 +60,9 @@ class SoftBody:
     @property
     def _velocities(self) -> np.ndarray:
         return np.asarray(self._model.jnt_dofadr[self._joints])
+
+
+def _plastic_state(model: mujoco.MjModel, flex: int) -> slice:
+    """Where in `data.plastic` the strains stand that stay in a flex; nowhere for one that yields to nothing."""
+    start, ends = int(model.flex_plasticadr[flex]), (*model.flex_plasticadr, model.nplastic)
+    return slice(0) if start < 0 else slice(start, int(min(end for end in ends if end > start)))

@@ -15,7 +15,10 @@ from baggie.sim.soft_body import SoftBody
 def bump_table(
     model: mujoco.MjModel, data: mujoco.MjData, motion: PlanarPose, bags: Sequence[SoftBody]
 ) -> None:
-    """Move the top for good, and with it the bags, the card and the sheet: what was at `pose` is at `motion @ pose`."""
+    """Move the top for good, and with it the bags, the card and the sheet: what was at `pose` is at `motion @ pose`.
+
+    The world's `update_fixed` has to follow.
+    """
     turn = Rotation.from_euler("z", motion.yaw)
     quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
     top = model.geom("table_top")
@@ -27,4 +30,3 @@ def bump_table(
         mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
     for bag in bags:
         bag.carry_along(turn, shift)
-    mujoco.mj_forward(model, data)

@@ -78,15 +78,15 @@ class World(ArmWorld):
         """
         self._reset_arm()
         if self._second is not None:
-            self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M)
-        self.put_bag(bag_pose)
+            self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M, undented=True)
+        self.put_bag(bag_pose, undented=True)
         self.advance(SETTLE_S)
 
     # -- bags, card and printed sheets -------------------------------------------------------------------------
 
-    def put_bag(self, pose: PlanarPose, height: float = DROP_HEIGHT_M) -> None:
-        """Lay the bag, undented and at rest, with its centre `height` metres above the table."""
-        self._bag.put(pose, height)
+    def put_bag(self, pose: PlanarPose, height: float = DROP_HEIGHT_M, *, undented: bool) -> None:
+        """Lay the bag, at rest, with its centre `height` metres above the table; its dents stay unless `undented`."""
+        self._bag.put(pose, height, undented=undented)
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -151,6 +151,7 @@ class World(ArmWorld):
         Turned about the base frame's origin and then shifted: what was at `pose` is at `motion @ pose`.
         """
         bump_table(self.model, self.data, motion, [bag for bag in (self._bag, self._second) if bag])
+        self.update_fixed()
 
     def _print(
         self, name: str, target: Target, scale: float, size_m: tuple[float, float], shape: tuple[int, int]

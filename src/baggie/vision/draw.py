@@ -29,13 +29,9 @@ _PICTURE_TO_LINE = 160
 def check_goal(goal: Goal, size: tuple[int, int]) -> None:
     """Raise `BaggieError` unless the whole goal lies in a picture of `(width, height)` pixels."""
     width, height = size
-    corners = np.asarray(goal.corners, float)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        raise BaggieError(
-            f"a goal needs at least three corners (u, v), got an array of shape {corners.shape}"
-        )
+    corners = goal.corners
     inside = (corners >= -0.5) & (corners <= [width - 0.5, height - 0.5])
-    if not inside.all():  # NaN is never inside
+    if not inside.all():
         (u0, v0), (u1, v1) = corners.min(axis=0), corners.max(axis=0)
         raise BaggieError(
             f"the goal must lie in the picture ({width} x {height} pixels), but reaches from "

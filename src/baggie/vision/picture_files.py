@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from PIL import Image as Pillow
 
-from baggie.errors import DataError
+from baggie.errors import BaggieError, DataError
 from baggie.files import only_ours, write_bytes
+from baggie.pictures import as_picture
 from baggie.types import Image
 
 if TYPE_CHECKING:
@@ -43,11 +44,8 @@ def read_picture(path: Path) -> Image:
     """An RGB picture `(H, W, 3)`, EXIF orientation ignored. Raises `DataError` where there is none."""
     try:
         with Pillow.open(path) as picture:
-            if picture.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip
-                grey = (np.asarray(picture).astype(np.uint32) >> 8).astype(np.uint8)
-                return np.repeat(grey[:, :, None], 3, axis=2)
-            return np.asarray(picture.convert("RGB"), np.uint8)
-    except (OSError, SyntaxError, ValueError) as error:
+            return as_picture(picture)
+    except (BaggieError, OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from None
 
 

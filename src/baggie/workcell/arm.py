@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol, runtime_checkable
 
-from baggie.geometry import FloatArray, ToolPose, hand_matrix
+from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class Arm(Protocol):
     """An arm with a two-finger gripper whose tool points straight down.
 
     Every motion blocks until it is done and returns the pose *really* reached. Poses are in the robot's base frame
-    (metres, radians). Implementations raise `ReachError` when a pose cannot be reached and move nothing.
+    (metres, radians); a yaw is taken modulo a turn, and the tool turns the shorter way where the wrist can.
+    Implementations raise `ReachError` when a pose cannot be reached and move nothing.
     """
 
     info: ArmInfo
@@ -76,3 +79,22 @@ class LedArm(Protocol):
 def hand_pose(arm: Arm) -> FloatArray:
     """`T_base_hand` `(4, 4)` of any arm: the tool of one that cannot be led always points straight down."""
     return arm.hand_pose() if isinstance(arm, LedArm) else hand_matrix(arm.pose())
+
+
+@runtime_checkable
+class ForeseeingArm(Protocol):
+    """An arm that knows beforehand what it reaches."""
+
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """Radians that the tool would turn in all, moving straight from where it is through these poses; nothing moves.
+
+        Raises `ReachError` where `move_to` would.
+        """
+        ...
+
+
+def foresee(arm: Arm, way: Sequence[ToolPose]) -> float:
+    """`ForeseeingArm.foresee` of any arm: one that does not foresee is taken to turn the shorter way everywhere."""
+    if isinstance(arm, ForeseeingArm):
+        return arm.foresee(way)
+    return sum(abs(wrap_angle(after.yaw - before.yaw)) for before, after in pairwise([arm.pose(), *way]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,6 +34,12 @@ def check_arm(
     reached = arm.move_to(target, speed_m_s)
     _check_there(reached, target, "move_to ends where it was sent")
     _check_there(arm.pose(), reached, "move_to returns the pose really reached")
+
+    again = arm.move_to(replace(target, yaw=target.yaw + 4 * np.pi), speed_m_s)
+    _check_there(again, reached, "a yaw is taken modulo a turn")
+    foreseen = arm.foresee([replace(target, yaw=4 * np.pi), target])
+    assert abs(foreseen - 2 * target.yaw) < 2 * YAW_TOLERANCE_RAD, "foresee adds up the shorter turns"
+    _check_there(arm.pose(), again, "foresee moves nothing")
 
     lowered = arm.lower_until_contact(low_z, speed_m_s, 20.0)
     _check_there(

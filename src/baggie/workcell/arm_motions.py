@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +45,10 @@ class ArmMotions:
         """`T_base_hand` `(4, 4)`, by forward kinematics of the measured joints."""
         return self._kinematics.hand_pose(self._world.joints)
 
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """`ForeseeingArm.foresee`, by the model's kinematics."""
+        return self._kinematics.turn_along(self._target, way)
+
     def lead_to(self, T_base_hand: FloatArray) -> FloatArray:
         """Put the hand at a pose `(4, 4)` at once, as a person would lead it there; the pose reached."""
         q = self._kinematics.reach(self._world.joints, T_base_hand)
@@ -53,7 +57,7 @@ class ArmMotions:
         return self.hand_pose()
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
-        """Move along a straight line with minimum-jerk timing; returns once at rest."""
+        """Move along a straight line, `Kinematics.line`, with minimum-jerk timing; returns once at rest."""
         self._follow(self._kinematics.line(self._target, target), speed_m_s)
         return self.pose()
 

@@ -10,6 +10,8 @@ from typing import get_args
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from baggie.text_files import compose_yaml
+
 Place = tuple[int | str, ...]
 """The way to an entry, as pydantic names it: the kind of a section that comes in several is a part of it."""
 
@@ -17,7 +19,7 @@ Place = tuple[int | str, ...]
 def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel]) -> str:
     """The first error in `text`, which `path` contains and `model` refused, as one line."""
     first = error.errors()[0]
-    line, entry = _find(text, first["loc"])
+    line, entry, node = _find(text, first["loc"])
     where = f"{path}, line {line}: {entry}"
     if first["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
         known = ", ".join(_entries(_section(model, first["loc"][:-1])))
@@ -25,12 +27,16 @@ def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel
     wrong = first["msg"].removeprefix("Value error, ")
     if first["type"] in {"missing", "value_error"}:  # what came is the whole section
         return f"{where}: {wrong}"
-    return f"{where}: {wrong}, got {first['input']!r}; change it"
+    came = first["input"]
+    if not isinstance(came, str) and isinstance(node, yaml.ScalarNode):
+        came = node.value  # as it was written
+        return f"{where}: {wrong}, got {came}; {'put it in quotes' if first['type'] == 'string_type' else 'change it'}"
+    return f"{where}: {wrong}, got {came!r}; change it"
 
 
-def _find(text: str, place: Place) -> tuple[int, str]:
-    """Where an entry stands, from line 1, and what a person calls it; of one that is missing, where it should be."""
-    node = yaml.compose(text)
+def _find(text: str, place: Place) -> tuple[int, str, yaml.Node | None]:
+    """Where an entry stands, from line 1, its name and its node; of one that is missing, where it should be."""
+    node = compose_yaml(text)
     line, names = 1, []
     for position, part in enumerate(place):
         entry = None
@@ -42,7 +48,7 @@ def _find(text: str, place: Place) -> tuple[int, str]:
             line, node = entry[0].start_mark.line + 1, entry[1]
         if entry is not None or (position == len(place) - 1 and not _is_kind(node, part)):
             names.append(str(part))
-    return line, ".".join(names) or "the file"
+    return line, ".".join(names) or "the file", node
 
 
 def _is_kind(node: yaml.Node | None, part: int | str) -> bool:

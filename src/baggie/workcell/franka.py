@@ -6,7 +6,7 @@ the robot's own inverse kinematics; ours only says beforehand whether the arm re
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -67,6 +67,10 @@ class FrankaArm:
     def joints(self) -> FloatArray:
         """`(7,)` radians, measured."""
         return np.asarray(self._state().q, float).reshape(7)
+
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """`ForeseeingArm.foresee`, by the model's kinematics."""
+        return self._kinematics.turn_along(self.joints(), way)
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         """Along a straight line (to 1% of its length); turns the shorter way, if the wrist can."""
@@ -160,7 +164,7 @@ class FrankaArm:
     def _plan(self, target: ToolPose) -> list[ToolPose]:
         """The poses to pass on the straight way to `target`. Raises `ReachError` where the arm cannot follow it."""
         here, q = self.pose(), self.joints()
-        turn = self._kinematics.turned(q, target).yaw - here.yaw
+        turn = self._kinematics.turn(self._kinematics.line(q, target))
         shares = np.linspace(0, 1, int(np.ceil(max(abs(turn), 1e-9) / TURN_STEP_RAD)) + 1)[1:]
         way = target.xyz - here.xyz
         return [

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from baggie.errors import ArmError, BaggieError, ReachError, StuckError
+from baggie.extras import install_extra, pip_install
 from baggie.geometry import FloatArray, difference, rigid
+from baggie.import_errors import explained
 from baggie.sim.scene import TOOL_OFFSET_M
 
 CONNECT_TIMEOUT_S = 10.0  # libfranka itself waits a minute for a robot that is not there
@@ -48,9 +50,9 @@ def load_franky() -> Any:
     """The library that speaks with Franka robots. Raises `BaggieError` where it is not installed."""
     try:
         import franky  # noqa: PLC0415 -- an extra
-    except ImportError:
-        raise BaggieError(
-            "a Franka arm needs franky-control, which is not installed; pip install 'baggie[franka]'"
+    except ImportError as error:
+        raise explained(error) or BaggieError(
+            f"a Franka arm needs franky-control, which is not installed: {install_extra('franka')}"
         ) from None
     return franky
 
@@ -226,9 +228,10 @@ def _check_tool(T_flange_tool: FloatArray) -> None:
 def _mismatch(host: str, message: str) -> str:
     found = re.search(r"server version: (\d+), library version: (\d+)", message)
     robot, library = found.groups() if found else ("VERSION", "another")
+    wheel = ("--force-reinstall", "franky-control", "--extra-index-url", f"{WHEELS}/{robot}/")
     return (
         f"the robot at {host} speaks version {robot} of the control protocol, the franky-control installed here "
-        f"version {library}; pip install --force-reinstall franky-control --extra-index-url {WHEELS}/{robot}/"
+        f"version {library}: {pip_install(*wheel)}"
     )
 
 

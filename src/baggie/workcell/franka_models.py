@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from baggie.geometry import FloatArray
-from baggie.sim.kinematics import Kinematics
-from baggie.sim.scene import HOME, arm_spec
+
+if TYPE_CHECKING:
+    from baggie.sim.kinematics import Kinematics
 
 ModelName = Literal["fr3", "panda"]
 
+_JOINTS = 7
 JOINT_MARGIN_RAD = 0.05
 """Kept from the ends of every joint: near them the robot brakes by itself, which ends as an error."""
 
@@ -28,6 +30,9 @@ class FrankaModel:
 
     def kinematics(self) -> Kinematics:
         """Of the point between the fingertips of Franka's hand, within these limits less a margin."""
+        from baggie.sim.kinematics import Kinematics  # noqa: PLC0415 -- the limits are read without MuJoCo, too
+        from baggie.sim.scene import HOME, arm_spec  # noqa: PLC0415
+
         spec = arm_spec()
         limits = zip(self.lower_rad + JOINT_MARGIN_RAD, self.upper_rad - JOINT_MARGIN_RAD, strict=True)
         for number, limit in enumerate(limits, start=1):
@@ -38,7 +43,7 @@ class FrankaModel:
 def _model(
     title: str, lower: tuple[float, ...], upper: tuple[float, ...], speed: tuple[float, ...]
 ) -> FrankaModel:
-    assert len(lower) == len(upper) == len(speed) == len(HOME)
+    assert len(lower) == len(upper) == len(speed) == _JOINTS
     return FrankaModel(title, np.array(lower), np.array(upper), np.array(speed))
 
 

@@ -6,6 +6,7 @@ It feels no force; what it is behind tells a touch, coarsely. The gate in front 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +63,10 @@ class LeRobotArm:
     def hand_pose(self) -> FloatArray:
         """`T_base_hand` `(4, 4)`, by forward kinematics of the measured joints."""
         return self._kinematics.hand_pose(self._joints())
+
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """`ForeseeingArm.foresee`, by the model's kinematics."""
+        return self._kinematics.turn_along(self._begin(), way, self._line)
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         """Along a straight line; turns the shorter way, if the wrist can."""
@@ -146,13 +151,21 @@ class LeRobotArm:
 
     def _plan(self, target: ToolPose) -> FloatArray:
         """The joint path `(N, J)` to `target`. Raises `ReachError` where the arm cannot follow it; nothing was sent."""
-        q = np.clip(self._joints(), *self._range.T)
+        return self._line(self._begin(), target)
+
+    def _begin(self) -> FloatArray:
+        """Where a straight line begins, `(J,)`. Raises `ReachError` where the tool does not point down."""
+        q: FloatArray = np.clip(self._joints(), *self._range.T)
         if self._tilt(q) > TILTED_RAD:
             raise ReachError(
                 f"the tool is tilted by {np.rad2deg(self._tilt(q)):.0f} degrees, straight lines begin pointing down; "
                 "park the arm first"
             )
-        path = self._kinematics.line(q, self._kinematics.turned(q, target))
+        return q
+
+    def _line(self, q: FloatArray, target: ToolPose) -> FloatArray:
+        """The joint path `(N, J)` from `q` `(J,)` to `target`. Raises `ReachError` where the arm cannot follow it."""
+        path = self._kinematics.line(q, target)
         begin = self._kinematics.tool_pose(q).xyz
         shares = np.linspace(0, 1, len(path))[:, None]
         line = begin + shares * (target.xyz - begin)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from baggie.errors import ArmError, BaggieError, StuckError
+from baggie.extras import pip_install
 from baggie.geometry import FloatArray
 
 
@@ -144,8 +145,8 @@ def open_robot(kind: str, options: Mapping[str, Any]) -> LeRobotRobot:
         plugins = importlib.import_module("lerobot.utils.import_utils").register_third_party_plugins
     except ImportError as error:
         raise BaggieError(
-            f"a LeRobot robot needs lerobot, which cannot be imported ({_line(error)}); pip install lerobot, with what "
-            "the robot's motors need: pip install 'lerobot[feetech]' for an SO-101"
+            f"a LeRobot robot needs lerobot, which cannot be imported ({_line(error)}); install it with what the "
+            f"robot's motors need, for an SO-101: {pip_install('lerobot[feetech]')}"
         ) from None
     config = _config(robots, kind, plugins)
     try:

@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
+
+from baggie.workcell.entries import Metres, Section, Words
 
 Triple = tuple[float, float, float]
 
 
-class LeRobotJoint(BaseModel):
+class LeRobotJoint(Section):
     """One joint, as the robot and as the model have it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
+    name: Words
     """The robot's: it reads and takes `NAME.pos`."""
-    model: str = ""
+    model: Words = ""
     """The model's name for it; the same unless given."""
     sign: Literal[1, -1] = 1
     """-1 where the robot counts the other way round."""
@@ -37,20 +37,18 @@ def _name_alone(entry: Any) -> Any:
 _SO101 = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
 
-class LeRobotSettings(BaseModel):
+class LeRobotSettings(Section):
     """Model, scales and speeds. The defaults fit an SO-101, where they can."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     model: Path
     """Its MJCF or URDF file, of which only joints and frames are used."""
-    tool: str = "gripper_frame_link"
+    tool: Words = "gripper_frame_link"
     """The site, body or link that moves with the hand."""
-    tool_xyz_m: Triple = (0.0, 0.0, 0.0)
+    tool_xyz_m: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
     """From that frame to the point between the fingertips."""
     tool_rpy_deg: Triple = (0.0, 0.0, 0.0)
     """From that frame to the hand's: z along the fingers, y the way they open. Fixed axes x, y, z, as in URDF."""
-    base_z_m: float = 0.0
+    base_z_m: Metres = 0.0
     """How high above the table the model's world is: the height of a pedestal."""
     joints: tuple[Annotated[LeRobotJoint, BeforeValidator(_name_alone)], ...] = tuple(
         LeRobotJoint(name=name) for name in _SO101
@@ -58,8 +56,8 @@ class LeRobotSettings(BaseModel):
     """From the base to the wrist; a name alone will do."""
     units: Literal["degrees", "normalized"] = "degrees"
     """Of the joints' positions: degrees, or -100 to 100 over the range that the model gives them."""
-    gripper: str = "gripper"
-    widths: tuple[tuple[float, float], ...] = ((0.0, 0.0), (100.0, 0.07))
+    gripper: Words = "gripper"
+    widths: tuple[tuple[float, Metres], ...] = ((0.0, 0.0), (100.0, 0.07))
     """Pairs of a gripper position and the metres between the fingertips there, from closed to open."""
     park: tuple[float, ...]
     """Where the joints are out of the camera's view, the tool pointing down; in the robot's units."""

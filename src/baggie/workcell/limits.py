@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
-from baggie.workcell.arm import Arm, ArmInfo, hand_pose
+from baggie.workcell.arm import Arm, ArmInfo, foresee, hand_pose
 from baggie.workcell.watchdog import BarkError, Watchdog
 
 _STRAIGHT_M = 0.005
@@ -75,6 +75,10 @@ class GuardedArm:
     def hand_pose(self) -> FloatArray:
         """`T_base_hand` `(4, 4)`: the function `hand_pose` of the arm."""
         return hand_pose(self._arm)
+
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """Radians that the tool would turn along `way`: the function `foresee` of the arm."""
+        return foresee(self._arm, way)
 
     def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
         """`Arm.move_to`, if target, way and speed are allowed."""

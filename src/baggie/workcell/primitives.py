@@ -1,14 +1,24 @@
-"""Pick and place, written once for every arm.
+"""Pick and place, written once for every arm, and with which turn of the wrist.
 
-Height is no part of an action: it is found by touch, so the same action picks from the table or from a stack.
+Height is no part of an action: it is found by touch, so the same action picks from the table or from a stack. Nor is
+it said how often the wrist goes round: of all yaws that mean the same those are taken that turn the hand least.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
-from baggie.geometry import PlanarPose, ToolPose
-from baggie.workcell.arm import Arm
+from baggie.errors import ReachError
+from baggie.geometry import PlanarPose, ToolPose, nearest_angle
+from baggie.types import PickPlace
+from baggie.workcell.arm import Arm, ArmInfo
+from baggie.workcell.limits import GuardedArm
+
+_SAME_TURN_RAD = 1e-3
+"""Turns that differ by less are equal: the hand is not measured better."""
+_WOBBLE_RAD = 0.01
+"""An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
 
 @dataclass(frozen=True)
@@ -92,3 +102,107 @@ def rise_to(arm: Arm, z: float, speed_m_s: float) -> None:
     here = arm.pose()
     if here.z < z - 0.01:
         arm.move_to(replace(here, z=z), speed_m_s)
+
+
+def least_turn(arm: GuardedArm, action: PickPlace, handling: Handling, symmetry: int) -> PickPlace:
+    """The action with the yaws (radians, not wrapped) that turn the hand least, of all that mean the same.
+
+    However it was said, it comes out the same; as it was said, where that turns least already. `symmetry`: how often a
+    turn what is picked looks the same about its middle, where it is picked; 1 where that is not known, 0 for at any
+    angle. Raises `LimitError` where pick or place would, and `ReachError` where the arm can carry out no saying.
+    Nothing moves.
+    """
+    here = arm.pose().yaw
+    sayings = sorted(_sayings(action, here, symmetry), key=lambda saying: _turn_and_tie(saying, here))
+    best, least, unreachable = None, math.inf, None
+    for saying in sayings:
+        if _shortest_turn(saying, here) >= least:
+            break
+        try:
+            turned = arm.foresee(
+                rehearse(arm, saying, handling)
+            )  # more where the wrist has to go the longer way
+        except ReachError as error:
+            unreachable = unreachable or error
+            continue
+        if turned < least:
+            best, least = saying, turned - _WOBBLE_RAD
+    if best is None:
+        assert unreachable is not None
+        raise unreachable
+    return best
+
+
+def _sayings(action: PickPlace, here: float, symmetry: int) -> list[PickPlace]:
+    """All that mean the same, each turned the shorter way: from the yaw `here` to the pick, from there to the place."""
+    pick, place = action.pick, action.place
+    if symmetry == 0:  # the hand need not turn at all
+        pick, place, symmetry = replace(pick, yaw=here), replace(place, yaw=here), 4
+    hand = [0.0] if symmetry % 2 == 0 else [0.0, math.pi]  # looks the same after half a turn, if at both ends
+    thing = [2 * math.pi * k / symmetry for k in range(symmetry)]
+    return [
+        PickPlace(
+            replace(pick, yaw=(pick_yaw := nearest_angle(pick.yaw + half + a, here))),
+            replace(place, yaw=nearest_angle(place.yaw + half + b, pick_yaw)),
+        )
+        for half in hand
+        for a in thing
+        for b in thing
+    ]
+
+
+def _shortest_turn(action: PickPlace, here: float) -> float:
+    return abs(action.pick.yaw - here) + abs(action.place.yaw - action.pick.yaw)
+
+
+def _turn_and_tie(action: PickPlace, here: float) -> tuple[float, float, float]:
+    """What to sort by. Of two that turn equally the counterclockwise comes first, so that it is always the same."""
+    turn, pick, place = _shortest_turn(action, here), action.pick.yaw, action.place.yaw
+    return round(turn / _SAME_TURN_RAD), -round(pick / _SAME_TURN_RAD), -round(place / _SAME_TURN_RAD)
+
+
+def rehearse(arm: GuardedArm, action: PickPlace, handling: Handling) -> list[ToolPose]:
+    """The poses that pick and place would lead through, down to their lowest heights. Nothing moves.
+
+    Raises `LimitError` for whatever the gate would refuse on the way: places, heights, speeds, forces, widths.
+    """
+    paper = _PaperArm(arm.info, arm.pose())
+    gate = GuardedArm(paper, arm.limits)
+    pick(gate, action.pick, handling)
+    place(gate, action.place, handling)
+    return paper.way
+
+
+class _PaperArm:
+    """An arm on paper: at once wherever it is sent, it remembers the way and touches nothing."""
+
+    def __init__(self, info: ArmInfo, at: ToolPose) -> None:
+        self.info = info
+        self.way = [at]
+        self._width = 0.0
+
+    def pose(self) -> ToolPose:
+        return self.way[-1]
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        self.way.append(target)
+        return target
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        return self.move_to(replace(self.pose(), z=min(self.pose().z, z_min)), speed_m_s)
+
+    def move_gripper(self, width_m: float) -> float:
+        self._width = width_m
+        return width_m
+
+    def grasp(self, force_n: float) -> float:
+        return self.move_gripper(0.0)
+
+    def gripper_width(self) -> float:
+        return self._width
+
+    def park(self) -> ToolPose:
+        return self.pose()
+
+    def stop(self) -> None:
+        return None

@@ -153,11 +153,11 @@ class SimulatedWorkcell(MujocoWorkcell):
         self.world.bump_table(PlanarPose(x, y, yaw))
 
     def rescue(self) -> bool:
-        """What a person would do: lay the lost bag back on the table."""
+        """What a person would do: lay the lost bag back on the table, its dents with it."""
         second = self.second_truth()
         in_the_way = [*self.obstacles(), *([second] if second else [])]
         pose, _ = lay_bags(self.settings.workspace, in_the_way, two=False, rng=self._rng)
-        self.world.put_bag(pose)
+        self.world.put_bag(pose, undented=False)
         self.world.advance(1.0)
         return True
 

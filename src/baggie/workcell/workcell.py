@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from baggie.errors import ReachError, UnsureError
+from baggie.errors import LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import Failure, Observation, Outcome, PickPlace, Plan
 from baggie.workcell.arm import Arm
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.camera import Camera
 from baggie.workcell.limits import GuardedArm, Limits
-from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.primitives import Handling, least_turn, pick, place
 
 if TYPE_CHECKING:
     from baggie.workcell.watch import Watch
@@ -51,7 +51,8 @@ class WorkcellSettings:
     object_size_m: tuple[float, float, float] = (0.12, 0.12, 0.03)
     """Length, width and resting height."""
     object_symmetry: int = 4
-    """How many times a turn it looks the same."""
+    """How many times a turn it looks the same about its middle, by which it is picked; 0 for at any angle. With 1, of
+    what has no symmetry or is picked elsewhere, yaws are carried out as they are said."""
     marker: Marker = field(default_factory=Marker)
     sure_within_m: float = 0.03
     """`carry_out` asks for help when a plan's pick or place is not known within this, nine times of ten."""
@@ -108,17 +109,19 @@ class Workcell:
     def execute(self, action: PickPlace) -> Outcome:
         """Pick, verify, place.
 
-        Both poses are checked before anything moves: raises `LimitError` outside the workspace. Raises `ReachError`
-        where the arm turns out not to get there; what was picked up by then is put back. A grasp that failed is no
-        error; the outcome says so and the arm is above the pick.
+        Yaws that mean the same give the same motion: `least_turn`, with the settings' `object_symmetry`. All of it is
+        checked before anything moves: raises `LimitError` for what leaves the limits, `ReachError` for what the arm
+        foresees not to reach. Raises either, too, where it turns out so on the way; what was picked up by then is put
+        back. A grasp that failed is no error; the outcome says so and the arm is above the pick.
         """
         self.arm.check(action.pick, "pick")
         self.arm.check(action.place, "place")
         handling = self.settings.handling
+        action = least_turn(self.arm, action, handling, self.settings.object_symmetry)
         start = self.clock()
         try:
             grasp = pick(self.arm, action.pick, handling)
-        except ReachError:
+        except (LimitError, ReachError):
             self.put_down()
             raise
         picked = self.clock()
@@ -133,8 +136,8 @@ class Workcell:
             )
         try:
             release = place(self.arm, action.place, handling)
-        except ReachError:
-            place(self.arm, grasp.pose.planar, handling)
+        except (LimitError, ReachError):
+            self.put_down(grasp.pose.planar)
             raise
         failure: Failure | None = None if release.held else "dropped"
         return Outcome(
@@ -147,17 +150,26 @@ class Workcell:
             timings_s={"pick": picked - start, "place": self.clock() - picked},
         )
 
-    def put_down(self) -> bool:
+    def put_down(self, at: PlanarPose | None = None) -> bool:
         """Put down what the hand may still hold after a motion was cut short; whether it held anything.
 
-        Where it is, or at the nearest place of the workspace.
+        Where it is, or at the nearest place of the workspace, unless `at` says where.
         """
-        h = self.settings.handling
-        if not h.empty_width_m < self.arm.gripper_width() < h.release_width_m - _SAME_WIDTH_M:
+        if not self._holds():
             return False
-        here = self.arm.pose()
-        place(self.arm, PlanarPose(*self.settings.workspace.nearest(here.x, here.y), here.yaw), h)
+        if at is None:
+            here = self.arm.pose()
+            at = PlanarPose(*self.settings.workspace.nearest(here.x, here.y), here.yaw)
+        place(self.arm, at, self.settings.handling)
         return True
+
+    def _holds(self) -> bool:
+        """Whether the hand seems to hold something: it is neither shut nor as wide as where it lets go."""
+        h, width = self.settings.handling, self.arm.gripper_width()
+        has_fingers = (
+            h.release_width_m > h.empty_width_m
+        )  # a suction cup has not, and is wide only while it holds
+        return h.empty_width_m < width and not (has_fingers and width >= h.release_width_m - _SAME_WIDTH_M)
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""

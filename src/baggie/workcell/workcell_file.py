@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -17,7 +16,10 @@ from pydantic import (
 )
 
 from baggie.errors import BaggieError
+from baggie.ranges import Color
+from baggie.text_files import parse_yaml, read_text
 from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.entries import Metres, Section, Words
 from baggie.workcell.file_errors import explain
 from baggie.workcell.franka_models import ModelName
 from baggie.workcell.lerobot_settings import LeRobotSettings
@@ -27,17 +29,13 @@ from baggie.workcell.workcell import WorkcellSettings
 _LIMITS = WorkcellSettings().limits
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SimulatedEntry(_Section):
+class SimulatedEntry(Section):
     """`arm: sim` for short."""
 
     kind: Literal["sim"] = "sim"
 
 
-class ReplayEntry(_Section):
+class ReplayEntry(Section):
     """No arm: a recording is shown."""
 
     kind: Literal["replay"]
@@ -45,11 +43,11 @@ class ReplayEntry(_Section):
     """Its folder, from the workcell file's own."""
 
 
-class FrankaEntry(_Section):
+class FrankaEntry(Section):
     """A real arm, or one behind the same protocol."""
 
     kind: Literal["franka"]
-    host: str = Field(min_length=1)
+    host: Words = Field(min_length=1)
     """The address of its control box."""
     model: ModelName = "fr3"
     speed: float = Field(0.1, gt=0, le=1)
@@ -62,10 +60,10 @@ class LeRobotEntry(LeRobotSettings):
     """A robot of LeRobot's. `model` is looked for from the workcell file's own folder."""
 
     kind: Literal["lerobot"]
-    type: str = Field(min_length=1)
+    type: Words = Field(min_length=1)
     """LeRobot's name for it, `so101_follower`."""
-    port: str | None = None
-    id: str | None = None
+    port: Words | None = None
+    id: Words | None = None
     """The name of its calibration."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Whatever else LeRobot's configuration of this type takes."""
@@ -102,11 +100,11 @@ ArmEntry = Annotated[
 CameraEntry = Annotated[CameraSettings, BeforeValidator(_words_alone)]
 
 
-class Bounds(_Section):
+class Bounds(Section):
     """The workspace, metres in the robot's base frame."""
 
-    x: tuple[float, float] = (0.35, 0.65)
-    y: tuple[float, float] = (-0.30, 0.30)
+    x: tuple[Metres, Metres] = (0.35, 0.65)
+    y: tuple[Metres, Metres] = (-0.30, 0.30)
 
     @field_validator("x", "y")
     @classmethod
@@ -116,28 +114,28 @@ class Bounds(_Section):
         return bounds
 
 
-class LimitsEntry(_Section):
+class LimitsEntry(Section):
     """What the gate lets through; see `Limits`."""
 
-    z_min_m: float = Field(_LIMITS.z_min_m, ge=0)
-    z_max_m: float = Field(_LIMITS.z_max_m, gt=0)
-    clearance_z_m: float = Field(_LIMITS.clearance_z_m, gt=0)
-    max_step_m: float = Field(_LIMITS.max_step_m, gt=0)
-    max_speed_m_s: float = Field(_LIMITS.max_speed_m_s, gt=0)
-    max_contact_force_n: float = Field(_LIMITS.max_contact_force_n, gt=0)
-    max_grasp_force_n: float = Field(_LIMITS.max_grasp_force_n, gt=0)
+    z_min_m: Metres = Field(_LIMITS.z_min_m, ge=0)
+    z_max_m: Metres = Field(_LIMITS.z_max_m, gt=0)
+    clearance_z_m: Metres = Field(_LIMITS.clearance_z_m, gt=0)
+    max_step_m: Metres = Field(_LIMITS.max_step_m, gt=0)
+    max_speed_m_s: float = Field(_LIMITS.max_speed_m_s, gt=0, le=5)
+    max_contact_force_n: float = Field(_LIMITS.max_contact_force_n, gt=0, le=500)
+    max_grasp_force_n: float = Field(_LIMITS.max_grasp_force_n, gt=0, le=500)
 
 
-class Bag(_Section):
+class Bag(Section):
     """The bag: in a simulated cell all of it, for a real one its size and colour."""
 
     length_m: float = Field(0.12, gt=0.06, lt=0.2)
     width_m: float = Field(0.12, gt=0.06, lt=0.2)
     mass_kg: float = Field(0.2, gt=0.02, lt=1.0)
-    color: tuple[int, int, int] = (196, 40, 44)
+    color: Color = (196, 40, 44)
 
 
-class CalibrationFiles(_Section):
+class CalibrationFiles(Section):
     """Where the calibrations are, from the workcell file's own folder. Each is refused for another camera."""
 
     intrinsics: Path | None = None
@@ -146,7 +144,7 @@ class CalibrationFiles(_Section):
     """Of `robot-to-world --camera-to-world`, or of `hand-eye` with a fixed camera."""
 
 
-class WorkcellFile(_Section):
+class WorkcellFile(Section):
     """The whole file."""
 
     arm: ArmEntry = SimulatedEntry()
@@ -179,7 +177,14 @@ class WorkcellFile(_Section):
                 raise ValueError(
                     f"handling.{name} is {value:g}, the limits allow up to {highest:g}; lower it"
                 )
-        if min(handling.pick_z_m, handling.place_z_m) < limits.z_min_m:
+        for name in ("travel_z_m", "approach_z_m"):
+            value = getattr(handling, name)
+            if not limits.z_min_m <= value <= limits.z_max_m:
+                raise ValueError(
+                    f"handling.{name} is {value:g}, the limits allow {limits.z_min_m:g} to {limits.z_max_m:g}; "
+                    "change it"
+                )
+        if not min(handling.pick_z_m, handling.place_z_m) >= limits.z_min_m:
             raise ValueError(
                 f"handling.pick_z_m and place_z_m are {handling.pick_z_m:g} and {handling.place_z_m:g}, the limits "
                 f"allow no less than {limits.z_min_m:g}; raise them"
@@ -198,13 +203,18 @@ class WorkcellFile(_Section):
 def read_workcell_file(path: Path) -> WorkcellFile:
     """Read and check a workcell file. Raises `BaggieError` with the line and entry that is wrong and what it may be."""
     try:
-        text = path.read_text()
-        return WorkcellFile.model_validate(yaml.safe_load(text) or {})
+        text = read_text(path)
     except OSError as error:
         raise BaggieError(
             f"no workcell file {path} ({error.strerror}); give a YAML file, or 'sim' for the simulated workcell"
         ) from None
-    except yaml.YAMLError as error:
-        raise BaggieError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+    content = parse_yaml(text, path)
+    if not isinstance(content, dict) or not content:
+        came = f"a {type(content).__name__}" if content else "nothing"
+        raise BaggieError(
+            f"expected entries such as `arm: sim` in {path}, got {came}; `baggie workcell new` writes such a file"
+        )
+    try:
+        return WorkcellFile.model_validate(content)
     except ValidationError as error:
         raise BaggieError(explain(path, text, error, WorkcellFile)) from None

@@ -8,10 +8,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray
+from baggie.text_files import parse_yaml, read_text
 from baggie.types import Intrinsics
 
 _MODELS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "brown_conrady_k6", "none"})
@@ -32,21 +32,21 @@ def read_factory(path: Path) -> Intrinsics:
     OpenCV's.
     """
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except (OSError, DataError) as error:
         raise DataError(
             f"expected a camera's calibration at {path}, got {error}; name the right file"
         ) from None
     try:
         if "opencv-matrix" in text:
             return _opencv(text)
-        content = yaml.safe_load(text)  # JSON is YAML
+        content = parse_yaml(text, path)  # JSON is YAML
         if isinstance(content, dict):
             for reads in (_ros, _realsense):
                 found = reads(content)
                 if found is not None:
                     return found
-    except (KeyError, TypeError, ValueError, yaml.YAMLError, cv2.error, SystemError) as error:
+    except (DataError, KeyError, TypeError, ValueError, cv2.error, SystemError) as error:
         raise DataError(
             f"the camera calibration in {path} is damaged ({' '.join(str(error).split())}); export it again"
         ) from None

@@ -20,7 +20,7 @@ from baggie.policies.learned import LearnedPolicy
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import Scores
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked
+from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked, seen
 
 
 class TransporterPolicy(LearnedPolicy):
@@ -81,9 +81,9 @@ class TransporterPolicy(LearnedPolicy):
         where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
         goal leaves it or the grid.
         """
-        seen, goal = self._rectified(observation, goal)
-        grid, height = self._checked(seen)
-        color = self.painted(seen.color, goal)
+        straight, goal = self._rectified(seen(observation), goal)
+        grid, height = self._checked(straight)
+        color = self.painted(straight.color, goal)
         decision = self.decide(color, height)
         pick_xy, place_xy = (
             grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)

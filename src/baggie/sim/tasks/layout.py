@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.seeds import first_fit
 
 REACH = Rectangle(0.30, 0.65, -0.40, 0.40)
 """Where the arm carries blocks, turned by up to a quarter turn; inside Ravens' grid by 5 cm and more."""
 GAP_M = 0.015
 """Between any two things: the cup and what it carries come down without touching what is beside."""
-_TRIES = 200
+_TRIES, _LAYOUTS = 200, 300
+"""To find a place for one thing beside those that lie, and of layouts begun anew because there was none."""
 
 
 def radius_m(size_m: ArrayLike) -> float:
@@ -22,22 +26,37 @@ def radius_m(size_m: ArrayLike) -> float:
 
 
 def scatter(radii_m: Mapping[str, float], rng: np.random.Generator) -> dict[str, PlanarPose]:
-    """Poses, yaw and all, of discs that overlap nowhere and lie wholly within `REACH`; by name, metres."""
-    while True:
-        poses: dict[str, PlanarPose] = {}
-        for name in sorted(radii_m, key=lambda each: -radii_m[each]):  # small ones still find a place later
-            for _ in range(_TRIES):
-                x, y = REACH.sample(rng, radii_m[name])
-                pose = PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi)))
-                if all(
-                    pose.distance(there) > radii_m[name] + radii_m[at] + GAP_M for at, there in poses.items()
-                ):
-                    poses[name] = pose
-                    break
-            else:
-                break  # too full: begin anew
-        if len(poses) == len(radii_m):
-            return poses
+    """Poses, yaw and all, of discs that overlap nowhere and lie wholly within `REACH`; by name, metres.
+
+    Raises `BaggieError` where there is no room for all of them.
+    """
+    poses = first_fit(lambda: _lay_out(radii_m, rng), lambda laid: len(laid) == len(radii_m), _LAYOUTS)
+    if poses is None:
+        raise BaggieError(
+            f"expected things that find room beside each other within {REACH}, {GAP_M * 100:.1f} cm apart, got "
+            f"{len(radii_m)} of radii {[round(radius, 3) for radius in radii_m.values()]} m; take fewer or smaller ones"
+        )
+    return poses
+
+
+def _lay_out(radii_m: Mapping[str, float], rng: np.random.Generator) -> dict[str, PlanarPose]:
+    """Lay one after another where there is room for it; where there is none for one, neither it nor those after it."""
+    poses: dict[str, PlanarPose] = {}
+
+    def somewhere(radius: float) -> PlanarPose:
+        x, y = REACH.sample(rng, radius)
+        return PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi)))
+
+    def is_free(pose: PlanarPose, radius: float) -> bool:
+        return all(pose.distance(there) > radius + radii_m[at] + GAP_M for at, there in poses.items())
+
+    for name in sorted(radii_m, key=lambda each: -radii_m[each]):  # small ones still find a place later
+        radius = radii_m[name]
+        pose = first_fit(partial(somewhere, radius), partial(is_free, radius=radius), _TRIES)
+        if pose is None:
+            break
+        poses[name] = pose
+    return poses
 
 
 def left_to_right(names: list[str], poses: Mapping[str, PlanarPose]) -> list[str]:

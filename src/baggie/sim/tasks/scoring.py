@@ -7,13 +7,16 @@ are `T_base_body` `(4, 4)` by name, of blocks and fixtures, as `BlockWorld.poses
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from baggie.geometry import FloatArray, wrap_angle
-from baggie.sim.block_world import BlockWorld
 from baggie.sim.tasks.task import Stage
+
+if TYPE_CHECKING:
+    from baggie.sim.block_world import BlockWorld
 
 POSITION_M = 0.01
 HEIGHT_M = 0.01

@@ -6,18 +6,18 @@ import importlib
 from typing import Protocol
 
 from baggie.errors import CameraError
+from baggie.extras import install_extra
+from baggie.import_errors import explained
 from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.live import LiveCamera
 from baggie.workcell.cameras.opencv import OpenCVStream, is_live
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.cameras.video_file import VideoFile
 
-_PACKAGES = {
-    "realsense": ("pyrealsense2", "pip install 'baggie[realsense]'"),
-    "orbbec": ("pyorbbecsdk", "pip install 'baggie[orbbec]'"),
-    "k4a": ("pyk4a", "install Microsoft's Azure Kinect Sensor SDK, then: pip install 'baggie[k4a]'"),
-}
-"""What each kind imports, and how to get it."""
+_PACKAGES = {"realsense": "pyrealsense2", "orbbec": "pyorbbecsdk", "k4a": "pyk4a"}
+"""What each kind imports; the extra that brings it has the kind's name."""
+_BEFORE = {"k4a": "install Microsoft's Azure Kinect Sensor SDK, then: "}
+"""What its package is built against."""
 
 
 class OpenCamera(Camera, Protocol):
@@ -35,13 +35,15 @@ def open_camera(settings: CameraSettings) -> OpenCamera:
         if not is_live(source):
             return VideoFile(source, settings)
         return LiveCamera(OpenCVStream, settings)
-    package, remedy = _PACKAGES[settings.kind]
+    package = _PACKAGES[settings.kind]
     try:
         importlib.import_module(package)
     except ImportError as error:
+        if missing := explained(error):
+            raise CameraError(f"a camera of kind {settings.kind} cannot be opened: {missing}") from None
         raise CameraError(
             f"a camera of kind {settings.kind} needs the package {package}, which cannot be imported "
-            f"({' '.join(str(error).split())}); {remedy}"
+            f"({' '.join(str(error).split())}); {_BEFORE.get(settings.kind, '')}{install_extra(settings.kind)}"
         ) from None
     stream = importlib.import_module(f"baggie.workcell.cameras.{settings.kind}").open_stream
     return LiveCamera(stream, settings)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field, PositiveInt
+
+from baggie.workcell.entries import Section, Words
 
 Kind = Literal["opencv", "realsense", "orbbec", "k4a"]
 
 
-class CameraSettings(BaseModel):
+class CameraSettings(Section):
     """Which camera, and how it is set. What is None is left to the camera."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Kind = "opencv"
     """`opencv`: anything OpenCV opens. The others have depth, and need their maker's package."""
-    source: str | None = None
+    source: Words | None = None
     """`opencv`: its number, device, address or a video file, 0 unless given. The others: a serial number, or, with
     `realsense`, a recording; the only one that is plugged in unless given."""
-    size: tuple[int, int] | None = None
+    size: tuple[PositiveInt, PositiveInt] | None = None
     """`(width, height)` of its pictures, pixels. Refused when the camera does not give them."""
     fps: float | None = Field(None, gt=0)
     """Pictures per second. Refused likewise."""

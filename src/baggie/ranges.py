@@ -1,0 +1,84 @@
+"""What numbers people may give: an option's interval is part of its type, and all are checked in one place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Annotated, Any, get_args, get_type_hints
+
+from annotated_types import Interval
+
+from baggie.errors import UsageError
+
+Number = Annotated[int, Interval(ge=0)]
+"""How many, none perhaps."""
+Count = Annotated[int, Interval(ge=1)]
+"""How many, at least one."""
+Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
+"""What names something random: whatever fits a column of a recording."""
+Workers = Annotated[int, Interval(ge=1, le=1024)]
+"""How many processes."""
+Port = Annotated[int, Interval(ge=0, le=65535)]
+"""A port of this computer; 0 for any that is free."""
+Share = Annotated[float, Interval(ge=0, le=1)]
+Positive = Annotated[float, Interval(gt=0)]
+NotNegative = Annotated[float, Interval(ge=0)]
+Coordinate = Annotated[float, Interval(ge=-10, le=10)]
+"""Metres in the frame of a robot or of its hand; more would be millimetres."""
+Bounds = tuple[Coordinate, Coordinate]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Height = Annotated[float, Interval(ge=0, le=2)]
+"""Metres above the table."""
+Channel = Annotated[int, Interval(ge=0, le=255)]
+Color = tuple[Channel, Channel, Channel]
+"""RGB."""
+
+
+class Options:
+    """What a command may be asked: dataclasses of this kind raise `UsageError` for numbers outside their intervals."""
+
+    def __post_init__(self) -> None:
+        for name, hint in hints(type(self)).items():
+            for number, interval in intervals(hint, getattr(self, name)):
+                if not _contains(interval, number):
+                    option = name.rstrip("_").replace("_", "-")
+                    raise UsageError(f"expected --{option} to be a number {_words(interval)}, got {number}")
+
+
+def hints(kind: type[Options]) -> dict[str, Any]:
+    """The types of all options by name, with their intervals."""
+    known = get_type_hints(kind, include_extras=True)
+    return {each.name: known[each.name] for each in fields(kind)}  # type: ignore[arg-type]  # it is a dataclass
+
+
+def intervals(hint: Any, value: Any) -> Iterator[tuple[float, Interval]]:
+    """The numbers in a value of this type that have an interval, alone or in tuples, and their intervals."""
+    interval = next((each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Interval)), None)
+    if interval is not None and isinstance(value, int | float):
+        yield value, interval
+    elif isinstance(value, tuple) and interval is None:
+        inner = [each for each in get_args(hint) if each is not ...]
+        for position, part in enumerate(value):
+            yield from intervals(inner[min(position, len(inner) - 1)], part)
+    else:
+        for alternative in get_args(hint):
+            yield from intervals(alternative, value)
+
+
+def _contains(interval: Interval, number: float) -> bool:
+    """Whether it lies in there; NaN and the infinities never do."""
+    low, above, high = interval.ge, interval.gt, interval.le
+    return (
+        math.isfinite(number)
+        and (low is None or number >= low)  # type: ignore[operator]  # bounds are numbers
+        and (above is None or number > above)  # type: ignore[operator]
+        and (high is None or number <= high)  # type: ignore[operator]
+    )
+
+
+def _words(interval: Interval) -> str:
+    if interval.ge is not None and interval.le is not None:
+        return f"from {interval.ge} to {interval.le}"
+    at_least = f"of at least {interval.ge}" if interval.gt is None else f"above {interval.gt}"
+    return at_least if interval.le is None else f"{at_least} and at most {interval.le}"
