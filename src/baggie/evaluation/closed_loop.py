@@ -18,7 +18,7 @@ from baggie.evaluation.block_tasks import BLOCKS
 from baggie.evaluation.kind import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.results import provenance, write_json
+from baggie.evaluation.results import EVALUATION, check_unmixed, provenance, write_json
 from baggie.evaluation.subjects import UNKNOWN, config_of, fingerprint, in_its_cell, policy_name
 from baggie.policies.learned import check_device
 from baggie.processes import stream_in_processes
@@ -44,6 +44,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
     """
     options.check()
     check_device(options.device)
+    check_unmixed(options.out, EVALUATION)
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
     console = Console(stderr=True)
     name = policy_name(options.policy)
@@ -109,7 +110,7 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
     """Never mix two evaluations in one folder: the log belongs to one policy, one stream of scenes, and all else that
     decides how an episode ends. What older versions did not write down is taken to be the same.
     """
-    path = options.out / "evaluation.json"
+    path = options.out / EVALUATION
     asked = {
         "policy": options.policy,
         "fingerprint": fingerprint(options.policy),
