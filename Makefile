@@ -69,9 +69,10 @@ $(STAMP): constraints.txt pyproject.toml | machine
 # Before anything is downloaded; -I, as the modules beside that file are not Python's own.
 .PHONY: machine
 machine:
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
-	    { echo "error: Python 3.11 to 3.13 is needed, $$($(PYTHON) --version) came; say which: make PYTHON=python3.11"; exit 1; }
-	@$(PYTHON) -I src/baggie/system_libraries.py
+	@python=$$(command -v $(BIN)/python || echo $(PYTHON)); \
+	$$python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { \
+	    echo "error: Python 3.11 to 3.13 is needed, $$($$python --version 2>&1) came; say which: make PYTHON=python3.11"; exit 1; }; \
+	$$python -I src/baggie/system_libraries.py
 
 # The report is looked at in a browser by a test, which says how to have it run where none may be installed.
 .PHONY: browser

@@ -72,7 +72,7 @@ def main(options: Options) -> None:
 def measure(cell: SimulatedWorkcell, to_robot: ImageToRobot, stream: tuple[int, ...]) -> list[float] | None:
     """Pixels, millimetres as seen, millimetres raised; None where the card is not found."""
     cell.reset(stream)
-    pose = draw_goal(cell, "card", stream)
+    pose = draw_goal(cell, cell.truth(), "card", stream)
     cell.lay_card(pose)
     card = find_card(cell.look().color)
     if card is None:

@@ -3,8 +3,11 @@
 Laws are tried on a few examples, which are others each time; `--hypothesis-profile thorough` takes many.
 """
 
+import os
 import signal
+from collections.abc import Callable
 
+import pytest
 from hypothesis import settings
 
 # A shell that starts something with & makes it deaf to Ctrl-C.
@@ -12,3 +15,31 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("quick", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("quick")
+
+MAY_ALWAYS_SKIP = ("tests/test_camera_k4a.py",)
+"""What needs a maker's SDK that no registry has. Anything else is skipped on a person's machine only, and says why."""
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Where everything can be installed, on machines that check changes, a test that does not run is a failure."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None or not os.environ.get("CI"):
+        return
+    skipped = {report.nodeid for report in reporter.stats.get("skipped", ())}
+    for node in sorted(node for node in skipped if not node.startswith(MAY_ALWAYS_SKIP)):
+        reporter.write_line(f"skipped, though everything can be here: {node}", red=True)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture
+def below(record_property: Callable[[str, object], None]) -> Callable[[str, float, float], None]:
+    """`below(what, value, bound)` asserts it of what was learned, and records how near it came.
+
+    `benchmarks/learned_bounds.py` makes a table of that.
+    """
+
+    def check(what: str, value: float, bound: float) -> None:
+        record_property(what, f"{float(value):.9g} of {bound:g}")
+        assert value < bound, what
+
+    return check

@@ -44,17 +44,17 @@ class Block:
         return named and named[1]
 
 
-def blocks(page: Path) -> list[Block]:
-    """Everything on a page that is not prose, from top to bottom."""
-    return [part for part in _parts(page) if isinstance(part, Block)]
+def blocks(page: Path, root: Path = ROOT) -> list[Block]:
+    """Everything on a page of a checkout that is not prose, from top to bottom."""
+    return [part for part in _parts(page, root) if isinstance(part, Block)]
 
 
-def prose(page: Path) -> str:
+def prose(page: Path, root: Path = ROOT) -> str:
     """The rest."""
-    return "\n".join(part for part in _parts(page) if isinstance(part, str))
+    return "\n".join(part for part in _parts(page, root) if isinstance(part, str))
 
 
-def _parts(page: Path) -> Iterator[Block | str]:
+def _parts(page: Path, root: Path) -> Iterator[Block | str]:
     lines = page.read_text().splitlines()
     at, mark = 0, None
     while at < len(lines):
@@ -75,5 +75,5 @@ def _parts(page: Path) -> Iterator[Block | str]:
             yield line
             continue
         text = "\n".join(text.removeprefix("    " if fence is None else fence[1]) for text in inside).rstrip()
-        yield Block(str(page.relative_to(ROOT)), start + 1, kind, text + "\n", mark and mark[1])
+        yield Block(str(page.relative_to(root)), start + 1, kind, text + "\n", mark and mark[1])
         mark = None

@@ -23,10 +23,12 @@ class Numbers:
     val: int
     steps: int
     episodes: int
+    rows: int
+    """Of points of a calibration."""
 
 
-SHORT = Numbers(attempts=9, train=6, val=3, steps=60, episodes=1)
-NIGHT = Numbers(attempts=40, train=26, val=8, steps=300, episodes=2)
+SHORT = Numbers(attempts=8, train=6, val=2, steps=60, episodes=1, rows=2)
+NIGHT = Numbers(attempts=40, train=26, val=8, steps=300, episodes=2, rows=3)
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,12 @@ class StandIn:
     """A regular expression of the pages it is for; all of them unless given."""
 
 
-_CURL = "curl --silent --show-error --fail --output /dev/null -X POST http://{lab}"
-_HOLD = f"{_CURL}/paddle?shown=1 && {_CURL}/bag?x=0.5\\&y=0.8"
-_LET_GO = f"{_CURL}/paddle?shown=0 && {_CURL}/reset?seed=0"
+_POST = (
+    'python -c "import sys, urllib.request as web; '
+    "[web.urlopen(web.Request('http://{lab}/' + path, method='POST')) for path in sys.argv[1:]]\""
+)
+_HOLD = f'{_POST} paddle?shown=1 "bag?x=0.5&y=0.8"'
+_LET_GO = f"{_POST} paddle?shown=0 reset?seed=0"
 """What somebody does with the marker's plate and the bag."""
 
 STAND_INS = (
@@ -51,7 +56,7 @@ STAND_INS = (
     # The lab: as fast as it can, at an address that no other test has.
     StandIn(r"^baggie lab\b", "baggie lab --host {host} --pace 0"),
     StandIn(r"\b127\.0\.0\.1:8090\b", "{lab}"),
-    StandIn(r'source="0"', 'source="http://{lab}/camera.mjpg"', "cameras"),
+    StandIn(r'source="0"', 'source="http://{lab}/camera.mjpg"', "cameras|own-arm"),
     # The marker in the hand is the lab's paddle; nobody has to be waited for.
     StandIn(
         r"^(baggie calibrate image-to-robot .*--workcell cell\.yaml.*)",
@@ -59,6 +64,7 @@ STAND_INS = (
         "first-night|collecting",
     ),
     # Smaller numbers: what is said twice counts as said last.
+    StandIn(r"(baggie calibrate image-to-robot [^&]*)", r"\1 --rows {rows} "),
     StandIn(r"^(baggie calibrate check .*--touches 0.*)", r"\1 --points 2"),
     StandIn(r"^(baggie collect .*--task (?!bag-place).*)", r"\1 --attempts 2"),
     StandIn(r"^(baggie collect (?!.*--task (?!bag-place)).*)", r"\1 --attempts {attempts}"),

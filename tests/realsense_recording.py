@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-rs = pytest.importorskip("pyrealsense2", reason="pip install 'baggie[realsense]'")
+rs = pytest.importorskip(
+    "pyrealsense2",
+    reason='needs pyrealsense2 and its libusb: pip install ".[realsense]", sudo apt-get install libusb-1.0-0',
+    exc_type=ImportError,
+)
 
 SERIAL = "0042"
 SIZE = (320, 240)

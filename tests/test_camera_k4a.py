@@ -9,7 +9,11 @@ from unittest.mock import Mock, create_autospec
 import numpy as np
 import pytest
 
-pyk4a = pytest.importorskip("pyk4a", reason="needs Microsoft's SDK: pip install 'baggie[k4a]'")
+pyk4a = pytest.importorskip(
+    "pyk4a",
+    reason='needs the Azure Kinect Sensor SDK, which only Microsoft has; beside that: pip install ".[k4a]"',
+    exc_type=ImportError,
+)
 
 from baggie.errors import CameraError  # noqa: E402 -- what comes next needs the package
 from baggie.workcell.camera_contract import check_camera  # noqa: E402
@@ -51,7 +55,8 @@ def camera(device: Mock) -> Iterator[OpenCamera]:
     camera.close()
 
 
-def test_with_none_plugged_in_it_says_so_in_one_line() -> None:
+def test_with_none_plugged_in_it_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pyk4a, "connected_device_count", lambda: 0)
     with pytest.raises(CameraError, match="one Azure Kinect, found none that is free; plug it in") as caught:
         open_camera(SETTINGS)
     assert "\n" not in str(caught.value)

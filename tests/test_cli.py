@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -64,11 +62,10 @@ def test_an_interruption_says_how_to_go_on_and_is_status_130(
     assert capsys.readouterr().err == "go on with: baggie collect\n"
 
 
-def test_json_is_one_object_on_stdout(tmp_path: Path) -> None:
+def test_json_is_one_object_on_stdout(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     from baggie.data import DatasetWriter
 
     with DatasetWriter(tmp_path / "data", task="t", robot_type="r", collection={}):
         pass
-    command = [sys.executable, "-m", "baggie", "inspect", str(tmp_path / "data"), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["attempts"] == 0
+    assert main(["inspect", str(tmp_path / "data"), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["attempts"] == 0

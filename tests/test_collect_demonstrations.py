@@ -8,12 +8,10 @@ import pytest
 
 from baggie.collect import CollectOptions, collect
 from baggie.collect import demonstrations as module
-from baggie.collect.demonstrations import demonstrate, missing_demonstrations
-from baggie.collect.sitting import Recording
+from baggie.collect.demonstrations import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.grid import Grid
-from baggie.workcell.block_workcell import open_block_workcell
 from streaming import stream_here
 
 GRID = Grid()
@@ -60,10 +58,7 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(
     whole = open_dataset(recorded)
     out = tmp_path / "again"
     # Some of the second demonstration is there, as a kill leaves it.
-    cell = open_block_workcell(TASK)
-    recording = Recording(cell.task.instruction, 4, 0, GRID.shape[::-1])
-    shown = demonstrate(cell, recording, 1)
-    cell.close()
+    begun = whole[int(np.flatnonzero((whole.episodes == 1) & (whole.numbers()["step"] == 0))[0])]
     settings = whole.settings
     with DatasetWriter(
         out,
@@ -72,7 +67,7 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(
         picture_size=settings.picture_size,
         collection=settings.collection,
     ) as writer:
-        writer.append(shown[0])
+        writer.append(begun)
     collect(options(out, workers=1))
     again = open_dataset(out)
     assert again.attempt_ids.tolist() == whole.attempt_ids.tolist()

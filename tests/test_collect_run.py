@@ -32,6 +32,7 @@ from baggie.geometry import Rectangle
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
+from streaming import stream_here
 
 module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
 
@@ -45,6 +46,12 @@ def assert_same(a: Path, b: Path) -> None:
     for one, other in zip(first, second, strict=True):
         assert np.array_equal(one.before.color, other.before.color)
         assert np.array_equal(one.after.color, other.after.color)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """No process of its own for a collection of few attempts."""
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +136,7 @@ def test_the_command_goes_on_with_the_same_scenery():
 
 
 @pytest.mark.parametrize(("scenery", "kept"), [("plain", True), ("varied", False)])
-def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, scenery, kept):
+def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, here, scenery, kept):
     collect(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
     assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
@@ -188,7 +195,7 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 def test_killed_twice_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path):
     out = tmp_path / "data"
     for count in (2, 8):
@@ -219,7 +226,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     assert "KeyboardInterrupt" in errors  # the command line turns it into exit status 130
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
     write_all, calls = baggie.data.writer.write_all, []
 
     def full(files, partial):
@@ -238,7 +245,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     assert collect(options, open_fake)["attempts"] == 5
 
 
-def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
+def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path, here):
     (tmp_path / COVERAGE_FILE).mkdir()
     with pytest.warns(BaggieWarning, match=f"{COVERAGE_FILE} cannot be written"):
         summary = collect(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
@@ -246,7 +253,7 @@ def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
     assert "coverage_picture" not in summary
 
 
-def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
+def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path, here):
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
         collect(options, open_unhelped)
@@ -332,7 +339,7 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
-def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, reference, monkeypatch, capsys):
+def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, here, reference, monkeypatch, capsys):
     monkeypatch.setenv("FAULTS_LEFT", str(tmp_path / "left"))
     (tmp_path / "left").write_text("1")
     collect(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
@@ -354,9 +361,9 @@ def test_one_arm_is_not_shared_by_workers(tmp_path):
 
 
 def test_a_workcell_file_is_read_once(reference, tmp_path, monkeypatch):
-    file, reads, read_text = tmp_path / "cell.yaml", [], Path.read_text
+    file, reads, read_bytes = tmp_path / "cell.yaml", [], Path.read_bytes
     file.write_text(f"arm: {{kind: replay, recording: {reference}}}\n")
-    monkeypatch.setattr(Path, "read_text", lambda path, *words: reads.append(path) or read_text(path, *words))
+    monkeypatch.setattr(Path, "read_bytes", lambda path: reads.append(path) or read_bytes(path))
     with pytest.raises(BaggieError, match="to describe a workcell with an arm"):  # told when it is opened
         collect(CollectOptions(out=tmp_path / "data", workcell=file))
     assert reads.count(file) == 1
@@ -445,7 +452,7 @@ def times(factor: int):
 
 
 def test_processes_stream_every_result():
-    results = stream_in_processes(functools.partial(times, 10), range(7), workers=3)
+    results = stream_in_processes(functools.partial(times, 10), range(7), workers=2)
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
 
 

@@ -16,6 +16,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from multiprocessing import forkserver
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,30 @@ def expect_clean(root: Path, ids: set[int]) -> None:
     assert set(seen) == ids
 
 
+@pytest.fixture(scope="module")
+def exit_code_of() -> Callable[..., int | None]:
+    """Runs a function of this file in a process of its own.
+
+    It is forked, so that it begins at once, but not from this process: libraries have threads here, and what is forked
+    from a process with threads may hang.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    with pytest.MonkeyPatch.context() as alone:
+        alone.setenv("OPENBLAS_NUM_THREADS", "1")
+        alone.setenv("JE_ARROW_MALLOC_CONF", "background_thread:false")
+        alone.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+        forkserver.ensure_running()
+
+    def run(target: Callable[..., None], *arguments: object) -> int | None:
+        child = context.Process(target=target, args=arguments)
+        child.start()
+        child.join()
+        return child.exitcode
+
+    return run
+
+
 def _die_at(step: int, root: Path, attempt_id: int) -> None:
     """Append an attempt, dying instead of the `step`-th renaming of a file to its place."""
     calls, replace = 0, os.replace
@@ -118,32 +143,34 @@ def _die_at(step: int, root: Path, attempt_id: int) -> None:
 @pytest.mark.parametrize(
     ("before", "dying", "next_one"),
     [
-        ((), 7, 8),
+        pytest.param((), 7, 8, marks=pytest.mark.slow),
         ((3, 1), 7, 8),
-        ((), 100, 101),  # begins an episode
+        pytest.param((), 100, 101, marks=pytest.mark.slow),  # begins an episode
         ((3, 100, 101), 102, 103),  # goes on with one
-        ((100, 101), 200, 201),  # begins another
+        pytest.param((100, 101), 200, 201, marks=pytest.mark.slow),  # begins another
         ((3, 100, 101), 7, 200),  # ends one by standing alone
     ],
 )
 def test_dying_at_any_step_loses_and_doubles_nothing(
-    tmp_path: Path, before: tuple[int, ...], dying: int, next_one: int
+    tmp_path: Path,
+    before: tuple[int, ...],
+    dying: int,
+    next_one: int,
+    exit_code_of: Callable[..., int | None],
 ) -> None:
     outcomes = []
     append(tmp_path / "before", *before)
     for step in itertools.count(1):
         root = shutil.copytree(tmp_path / "before", tmp_path / str(step))
-        child = multiprocessing.get_context("fork").Process(target=_die_at, args=(step, root, dying))
-        child.start()
-        child.join()
+        exit_code = exit_code_of(_die_at, step, root, dying)
         expect_whole(root, set(open_dataset(root).attempt_ids.tolist()))  # readable before any repair
         with writer(root) as recording:
             present = recording.attempt_ids
         assert set(before) <= present <= {*before, dying}
         if present:
             expect_clean(root, present)
-        outcomes.append((child.exitcode, dying in present))
-        if child.exitcode == 0:
+        outcomes.append((exit_code, dying in present))
+        if exit_code == 0:
             break
         append(root, *sorted({dying, next_one} - present))
         expect_clean(root, {*before, dying, next_one})
@@ -172,22 +199,19 @@ def _repair_dying_at(step: int, root: Path) -> None:
     writer(root).close()
 
 
-@pytest.mark.parametrize("died_at", [1, 2, 3, 4])
-def test_dying_in_a_repair_is_repaired(tmp_path: Path, died_at: int) -> None:
+@pytest.mark.parametrize("died_at", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)), 3, 4])
+def test_dying_in_a_repair_is_repaired(
+    tmp_path: Path, died_at: int, exit_code_of: Callable[..., int | None]
+) -> None:
     """Of a writer that died going on with an episode."""
-    fork = multiprocessing.get_context("fork")
     append(tmp_path / "died", 3, 100, 101)
-    child = fork.Process(target=_die_at, args=(died_at, tmp_path / "died", 102))
-    child.start()
-    child.join()
+    exit_code_of(_die_at, died_at, tmp_path / "died", 102)
     for step in itertools.count(1):
         root = shutil.copytree(tmp_path / "died", tmp_path / str(step))
-        child = fork.Process(target=_repair_dying_at, args=(step, root))
-        child.start()
-        child.join()
+        exit_code = exit_code_of(_repair_dying_at, step, root)
         writer(root).close()
         expect_clean(root, {3, 100, 101} if died_at < 4 else {3, 100, 101, 102})
-        if child.exitcode == 0:
+        if exit_code == 0:
             break
     assert step > 2
 
@@ -206,7 +230,9 @@ print("done", flush=True)
 """
 
 
-@pytest.mark.parametrize("ids", [range(12), [*range(100, 106), 0, *range(200, 205)]])
+@pytest.mark.parametrize(
+    "ids", [pytest.param(range(12), marks=pytest.mark.slow), [*range(100, 106), 0, *range(200, 205)]]
+)
 def test_kill_9_again_and_again(tmp_path: Path, ids: Sequence[int]) -> None:
     returned: list[str] = []
     draw = random.Random(0)

@@ -36,6 +36,7 @@ PROGRAMS = {
     "pip",
     "printf",
     "python",
+    "source",
     "sudo",
 }
 """What stands at the beginning of a command."""
@@ -71,14 +72,13 @@ def test_every_block_says_what_it_is(block: Block) -> None:
         assert all(shlex.split(command)[0] in PROGRAMS for command in block.commands()), "shown only: ```text"
 
 
-def test_a_page_is_taken_apart_as_it_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("docs_pages.ROOT", tmp_path)
+def test_a_page_is_taken_apart_as_it_reads(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(
         "words\n\n    baggie lab   # a comment\n    pip install \\\n        this\n\nmore\n\n"
         "<!-- not run: it is elsewhere -->\n\n```python\nx = 1\n```\n\n```yaml\n# cell.yaml\narm: sim\n```\n"
     )
-    commands, program, file = blocks(page)
+    commands, program, file = blocks(page, tmp_path)
     assert commands.commands() == ["baggie lab", "pip install      this"]
     assert (program.kind, program.text, program.not_run, program.line) == (
         "python",
@@ -87,10 +87,20 @@ def test_a_page_is_taken_apart_as_it_reads(tmp_path: Path, monkeypatch: pytest.M
         11,
     )
     assert (file.file(), file.not_run) == ("cell.yaml", None)
-    assert prose(page).split() == ["words", "more", "<!--", "not", "run:", "it", "is", "elsewhere", "-->"]
+    assert prose(page, tmp_path).split() == [
+        "words",
+        "more",
+        "<!--",
+        "not",
+        "run:",
+        "it",
+        "is",
+        "elsewhere",
+        "-->",
+    ]
     page.write_text("<!-- not run: why -->\n\nwords\n\n    baggie lab\n")
     with pytest.raises(AssertionError, match="line 3"):
-        blocks(page)
+        blocks(page, tmp_path)
 
 
 @pytest.mark.usefixtures("idle")

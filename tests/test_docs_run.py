@@ -14,7 +14,8 @@ import subprocess
 import sys
 import sysconfig
 import venv
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import pytest
@@ -41,17 +42,66 @@ CHECKOUT = (
     "src",
     "tests",
 )
-AFTER = {
-    "docs/collecting.md": "README.md",
-    "docs/policies.md": "README.md",
-    "docs/evaluating.md": "docs/policies.md docs/collecting.md",
-    "docs/deploying.md": "README.md",
-    "docs/cameras.md": "README.md",
-    "docs/own-arm.md": "README.md",
+
+
+@dataclass(frozen=True)
+class Given:
+    """What somebody has who opens a page."""
+
+    after: tuple[str, ...] = ()
+    """Pages that were followed in the same folder."""
+    cell: bool = False
+    """A workcell file, of the lab."""
+    lab: bool = False
+    """A lab that runs."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """Others' files, by name."""
+    recording: bool = False
+    """Demonstrations of the Ravens benchmark."""
+
+
+_MY_ARM = """\
+import sys
+
+sys.path.append("examples")
+import own_arm
+
+
+def open_arm(port=""):
+    return own_arm.open_arm()
+"""
+PAGE: Mapping[str, Given] = {
+    "docs/collecting.md": Given(after=("README.md",), cell=True),
+    "docs/policies.md": Given(after=("README.md",)),
+    "docs/evaluating.md": Given(after=("docs/collecting.md", "docs/policies.md"), lab=True),
+    "docs/deploying.md": Given(after=("README.md",)),
+    "docs/cameras.md": Given(after=("README.md",), lab=True),
+    "docs/own-arm.md": Given(lab=True, files={"my_lab/my_arm.py": _MY_ARM}),
+    "docs/first-night.md": Given(lab=True),
+    "docs/franka.md": Given(cell=True),
+    "docs/workcell.md": Given(cell=True),
+    "docs/ravens.md": Given(recording=True),
 }
-"""What has to be followed first, in the same folder; other pages begin from nothing."""
-HAS_CELL = {"docs/collecting.md", "docs/franka.md", "docs/workcell.md"}
-"""Pages whose reader has a workcell file."""
+"""Of the other pages: nothing."""
+TOGETHER = ("README.md", *(page for page, given in PAGE.items() if given.after))
+ALONE = tuple(
+    page
+    for path in PAGES
+    if (page := str(path.relative_to(ROOT))) not in {*TOGETHER, "docs/first-night.md"}
+    and any(block.kind in {"sh", "python"} and block.not_run is None for block in blocks(path))
+)
+_RAVENS = """\
+import sys
+from pathlib import Path
+
+from baggie.data.ravens import write_episode
+
+sys.path.append("tests")
+import ravens_scene
+
+for number in range(3):
+    write_episode(Path("stack-block-pyramid-train"), ravens_scene.episode(number, 9000 + 2 * number))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -113,44 +163,37 @@ class Reader:
 
     def follow(self, page: str) -> None:
         """Everything on it that can be run, and before that what it takes for granted."""
-        for earlier in AFTER.get(page, "").split():
+        given = PAGE.get(page, Given())
+        for earlier in given.after:
             if earlier not in self.followed:
                 self.follow(earlier)
         self.followed.add(page)
-        self.prepare(page)
         try:
-            for block in blocks(ROOT / page):
+            self._prepare(given)
+            for block in blocks(self.folder / page, self.folder):
                 if block.not_run is None:
-                    {"sh": self._type, "python": self._run_program, "yaml": self._write}.get(
-                        block.kind, lambda block: None
-                    )(block)
+                    self._do(block)
         finally:
             self.leave_lab()
 
-    def prepare(self, page: str) -> None:
-        """What somebody who opens the page has."""
-        if page in HAS_CELL | {
-            "docs/first-night.md",
-            "docs/cameras.md",
-            "docs/own-arm.md",
-            "docs/evaluating.md",
-        }:
+    def _prepare(self, given: Given) -> None:
+        if given.lab or given.cell:
             self.open_lab("baggie lab --out lab.yaml")
-        if page in HAS_CELL:
+        if given.cell:
             shutil.copy(self.folder / "lab.yaml", self.folder / "cell.yaml")
-        if page == "docs/own-arm.md":
-            (self.folder / "my_lab").mkdir()
-            arm = (self.folder / "examples" / "own_arm.py").read_text()
-            (self.folder / "my_lab" / "my_arm.py").write_text(
-                arm.replace("reach_m: float = 0.85", 'port: str = ""').replace("reach_m)", "0.85)")
-            )
-        if page == "docs/ravens.md":
-            make = (
-                "import sys; sys.path.append('tests'); import ravens_scene; from pathlib import Path; "
-                "from baggie.data.ravens import write_episode\n"
-                "for n in range(3): write_episode(Path('stack-block-pyramid-train'), ravens_scene.episode(n, 9000 + n))"
-            )
-            self._call([str(self.python), "-c", make], "")
+        for name, text in given.files.items():
+            (self.folder / name).parent.mkdir(exist_ok=True)
+            (self.folder / name).write_text(text)
+        if given.recording:
+            self._call([str(self.python), "-c", _RAVENS], "")
+
+    def _do(self, block: Block) -> None:
+        if block.kind == "sh":
+            self._type(block)
+        elif block.kind == "python":
+            self._run_program(block)
+        elif block.kind == "yaml":
+            self._write(block)
 
     def open_lab(self, command: str) -> None:
         """In another terminal, until the page ends."""
@@ -238,23 +281,14 @@ def test_the_first_night(tmp_path: Path, python: Path, host: str, numbers: Numbe
     assert (reader.folder / "report.html").stat().st_size > 100_000
 
 
-TOGETHER = ["README.md", *AFTER]
-
-
 @pytest.mark.parametrize("page", TOGETHER)
 def test_pages_that_go_on_from_each_other(reader: Reader, page: str) -> None:
     if page not in reader.followed:
         reader.follow(page)
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        page
-        for path in PAGES
-        if (page := str(path.relative_to(ROOT))) not in {*TOGETHER, "docs/first-night.md"}
-        and any(block.kind in {"sh", "python"} for block in blocks(path))
-    ],
-)
+@pytest.mark.parametrize("page", ALONE)
 def test_pages_that_stand_alone(tmp_path: Path, python: Path, host: str, page: str) -> None:
+    if page == "docs/lab.md" and shutil.which("curl") is None:
+        pytest.skip("its commands need curl: apt-get install curl")
     Reader(tmp_path / "baggie", python, host, NIGHT).follow(page)

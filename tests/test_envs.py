@@ -13,6 +13,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("baggie/"))
+ONE_OF_EACH = ["baggie/AlignBoxCorner-v0", "baggie/BagPlace-v0"]
 
 SIDE_BY_SIDE = """
 import sys
@@ -40,15 +41,18 @@ envs.close(terminate=True)
 """
 
 
-def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so() -> None:
-    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *IDS]
+@pytest.mark.parametrize("names", [ONE_OF_EACH, pytest.param(IDS, marks=pytest.mark.slow)], ids=len)
+def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_rendered_says_so(
+    names: list[str],
+) -> None:
+    given = [sys.executable, "-W", "ignore", "-c", SIDE_BY_SIDE, *names]
     done = subprocess.run(given, check=False, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     (line,) = done.stdout.splitlines()
     assert 'context="spawn"' in line
 
 
-@pytest.mark.parametrize("name", ["baggie/BagPlace-v0", "baggie/AlignBoxCorner-v0"])
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_what_is_written_into_an_observation_or_a_picture_stays_there(name: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)
     observation, info = env.reset(seed=1)
@@ -73,6 +77,24 @@ def test_the_last_step_says_whether_the_bag_is_there() -> None:
     assert info["is_success"] is True
     assert info["distance_m"] == pytest.approx(-float(reward))
     env.close()
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
+def test_vector_environments_say_how_the_last_step_ended(mode: str) -> None:
+    """In `info`, or in its `final_info`: where LeRobot's evaluation looks for it. The step after it counts for 0."""
+    kwargs = {"autoreset_mode": gymnasium.vector.AutoresetMode[mode]}
+    envs = gymnasium.make_vec("baggie/BagPlace-v0", vectorization_mode="sync", vector_kwargs=kwargs)
+    envs.reset(seed=0)
+    refused = np.full((1, 6), np.nan, np.float32)
+    for _ in range(3):
+        *_, truncated, info = envs.step(refused)
+    assert truncated.all()
+    last = info["final_info"] if mode == "SAME_STEP" else info
+    assert last["is_success"].tolist() == [False]
+    _, rewards, *_, info = envs.step(refused)
+    assert (rewards == 0).all() == (mode == "NEXT_STEP")
+    assert ("refused" in info) == (mode == "SAME_STEP")
+    envs.close()
 
 
 @pytest.mark.parametrize("action", [np.zeros(5), np.zeros((6, 2)), ["a"] * 6, None], ids=str)

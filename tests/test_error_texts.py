@@ -116,6 +116,8 @@ def test_every_text_is_as_it_was(case: Case, say: Say, now: list[Case]) -> None:
 def test_every_text_is_one_line_or_says_how_to_get_help(case: Case) -> None:
     *lines, status = case.said.splitlines()
     assert status in {"[1]", "[2]"}
-    if status == "[1]":
+    if status == "[1]" or lines[0].startswith("error: "):
         assert [line.startswith("error: ") for line in lines] == [True]
+    else:
+        assert "For full helptext" in case.said
     assert "Traceback" not in case.said

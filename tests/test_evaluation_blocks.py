@@ -11,10 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie import seeds
+from baggie.cli import main
+from baggie.collect.options import INSTRUCTIONS
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
 from baggie.evaluation.block_bench import BlockBench
@@ -23,10 +26,11 @@ from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import read_log
 from baggie.evaluation.metrics import success_rate
 from baggie.evaluation.report import ReportOptions, report
+from baggie.evaluation.subjects import check_taught
 from baggie.geometry import PlanarPose
 from baggie.grid import Grid
 from baggie.policies import DemonstratorPolicy
-from baggie.sim.tasks import find_task
+from baggie.sim.tasks import TASKS, find_task
 from baggie.types import Observation, Outcome, PickPlace, Plan
 from streaming import stream_here
 from test_report import Page
@@ -291,3 +295,38 @@ def test_a_step_says_what_it_has_done(rewards):
     ending = {"partial_credit": sum(rewards), "ravens_success": False, "success": False}
     line = {"episode": 3, "steps": steps, **ending, "failure": "unfinished", "message": "", "wall_s": 1.0}
     assert json.loads(json.dumps(BlockEpisode.from_json(line).to_json())) == line
+
+
+PYRAMID, BAG = TASK.instruction, INSTRUCTIONS["bag-place"]
+FROM_ABOVE = {"policy": "transporter", "model": {"camera": None}}
+BY_CAMERA = {"policy": "transporter", "model": {"camera": {"matrix": []}}}
+
+
+@pytest.mark.parametrize(
+    ("config", "instruction", "tasks"),
+    [
+        ({"policy": "keypoint"}, BAG, {"bag-place"}),
+        (BY_CAMERA, BAG, {"bag-place"}),
+        (FROM_ABOVE, PYRAMID, {"block-pyramid"}),
+        ({"policy": "regression"}, None, {"bag-place"}),  # a run begun before runs said what they were taught
+        (FROM_ABOVE, None, set(TASKS)),
+        (FROM_ABOVE, "stack block pyramid", set(TASKS)),  # in somebody else's words
+        ({"policy": "color-mask"}, None, {"bag-place"}),
+    ],
+)
+def test_a_policy_is_judged_on_what_it_was_taught(tmp_path, capsys, config, instruction, tasks):
+    run, out = tmp_path / "run", tmp_path / "out"
+    run.mkdir()
+    training = {"training": {"task": instruction}} if instruction else {}
+    (run / "config.yaml").write_text(yaml.safe_dump(config | training))
+    for task in ("bag-place", *TASKS):
+        if task in tasks:
+            check_taught(str(run), task)
+            continue
+        assert main(["evaluate", "--policy", str(run), "--task", task, "--out", str(out)]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: expected a policy that ")
+        assert (f"which was taught {min(tasks)}" in line) == (instruction in {BAG, PYRAMID})
+    assert not out.exists()
+    for named in ("oracle", "color-mask"):
+        check_taught(named, "bag-place")

@@ -72,6 +72,10 @@ def scene(cell, seed, number):
     return cell
 
 
+def drawn(cell, kind, names):
+    return draw_goal(cell, cell.truth(), kind, names)
+
+
 @pytest.fixture(scope="module")
 def drawn_map():
     x, y, z = np.meshgrid(np.linspace(0.3, 0.7, 5), np.linspace(-0.3, 0.3, 5), (0.07, 0.17))
@@ -90,10 +94,10 @@ def drawn_map():
     ],
 )
 def test_goals_of_the_plain_closed_loop_are_what_they_always_were(seed, number, x, y):
-    goal = draw_goal(scene(FakeCell(), seed, number), "virtual", stream(seed, number))
+    goal = drawn(scene(FakeCell(), seed, number), "virtual", stream(seed, number))
     assert (goal.x, goal.y, goal.yaw) == (x, y, 0.0)
     for kind in ("turned", "card"):  # the others differ in the angle alone
-        turned = draw_goal(scene(FakeCell(), seed, number), kind, stream(seed, number))
+        turned = drawn(scene(FakeCell(), seed, number), kind, stream(seed, number))
         assert (turned.x, turned.y) == (x, y)
         assert turned.yaw != 0.0
 
@@ -105,7 +109,7 @@ def test_goals_keep_clear_of_everything(seed, kind, symmetry, things):
     standing = [PlanarPose(*map(float, WORKSPACE.sample(rng))) for _ in range(things)]
     cell = scene(Table(standing[0] if standing else None, standing[1:], symmetry), seed, 0)
     cell.settings = replace(cell.settings, workspace=Rectangle(0.2, 0.8, -0.4, 0.4))  # there is always room
-    goal = draw_goal(cell, kind, stream(seed, 0))
+    goal = drawn(cell, kind, stream(seed, 0))
     assert cell.settings.workspace.contains(goal.x, goal.y)
     assert goal.distance(cell.truth()) >= MIN_DISTANCE_M
     assert all(goal.distance(other) >= CLEARANCE_M for other in standing)
@@ -115,7 +119,7 @@ def test_goals_keep_clear_of_everything(seed, kind, symmetry, things):
 def test_a_full_table_is_told():
     everywhere = [PlanarPose(x, y) for x in (0.4, 0.5, 0.6) for y in np.arange(-0.25, 0.3, 0.1)]
     with pytest.raises(BaggieError, match="clear the workspace"):
-        draw_goal(scene(Table(obstacles=everywhere), 0, 0), "virtual", stream(0, 0))
+        drawn(scene(Table(obstacles=everywhere), 0, 0), "virtual", stream(0, 0))
 
 
 @settings(max_examples=40, deadline=None)

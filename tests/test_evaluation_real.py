@@ -21,6 +21,7 @@ from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
+from baggie.types import Outcome
 from baggie.workcell.calibrations import Calibrations
 from fake_workcell import FakeCell
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
@@ -29,7 +30,25 @@ FILE = Path("cell.yaml")
 
 
 class RealFake(FakeCell):
-    """A fake cell that is told nothing by anybody, and carries out what is planned."""
+    """A fake cell whose scene stays as it is, whose truth nobody knows, and which carries out what is planned."""
+
+    looks = 0
+
+    def lay_anew(self, seed):
+        super().reset((seed,))
+
+    def reset(self, seed):
+        if hasattr(self, "bag"):
+            self.arm.park()
+        else:
+            self.lay_anew(0)
+
+    def truth(self):
+        return None
+
+    def look(self):
+        self.looks += 1
+        return super().look()
 
     def carry_out(self, plan):
         return self.execute(plan.action)
@@ -42,7 +61,8 @@ def calibrated(cell):
 
 def bench(cell, options):
     seen = SeenCell(cell, FILE)
-    return Bench(seen, ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color), seen.image_to_robot)
+    policy = ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color)
+    return Bench(seen, policy, seen.image_to_robot, seen.find)
 
 
 def options(tmp_path, **asked):
@@ -51,14 +71,44 @@ def options(tmp_path, **asked):
 
 @pytest.fixture
 def cell():
-    return calibrated(RealFake())
+    return calibrated(RealFake(size=(640, 360)))
 
 
 def test_what_is_seen_is_where_it_is(cell):
     seen = SeenCell(cell, FILE)
     for seed in range(5):
-        cell.reset((seed,))
-        assert seen.truth().distance(cell.bag) < 0.004
+        cell.lay_anew(seed)
+        assert seen.find(seen.look()).distance(cell.bag) < 0.004
+
+
+def test_what_was_seen_belongs_to_its_picture_and_asking_for_it_moves_nothing(cell):
+    asked = bench(cell, None)
+    picture, then = asked.cell.look(), cell.bag
+    cell.arm.move_to(PlanarPose(0.5, 0.0).at_height(0.2), 0.1)
+    cell.bag = PlanarPose(0.5, 0.2)
+    assert asked.bag_in(picture).distance(then) < 0.004
+    assert asked.cell.truth() is None
+    assert cell.arm.pose() != cell.arm.park()
+    assert cell.looks == 1
+
+
+def test_an_episode_takes_three_pictures(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+    in_cell = functools.partial(bench, cell)
+    evaluate(options(tmp_path), in_cell)
+    assert cell.looks == 3 * 4
+    for episode in read_log(tmp_path / "episodes.jsonl", Episode):
+        assert episode.pick_error_cm < 1e-9  # the policy plans from the picture, and so is measured
+
+
+def test_a_bag_the_policy_puts_out_of_reach_is_its_own_affair(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+    far = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.03)
+    cell.carry_out = lambda plan: setattr(cell, "bag", far) or Outcome(plan.action)
+    assert (
+        evaluate(replace(options(tmp_path), episodes=1), functools.partial(bench, cell))["success"]["rate"]
+        == 0
+    )
+    with pytest.raises(BaggieError, match="put it back"):
+        evaluate(replace(options(tmp_path), episodes=2), functools.partial(bench, cell))
 
 
 def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
@@ -69,24 +119,6 @@ def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
     for before, after in pairwise(episodes):
         start, end = PlanarPose(*after.start), PlanarPose(*before.final)
         assert start.distance(end) < 0.004
-
-
-def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_camera_is_is_not(tmp_path):
-    file, lens = tmp_path / "cell.yaml", tmp_path / "camera.yaml"
-    lens.write_text("made: once")
-    text = "arm: {kind: franka, host: 10.0.0.2}\ncamera: 0\ncalibrations: {intrinsics: camera.yaml}\n"
-
-    def says(written):
-        file.write_text(written)
-        return closed_loop_of_bags._says(file)
-
-    first = says(text)
-    assert (
-        says(f"# at night\n{text.replace('10.0.0.2', '10.0.0.3').replace('camera: 0', 'camera: 2')}") == first
-    )
-    assert says(f"{text}bag: {{length_m: 0.13}}\n") != first
-    lens.write_text("made: again")
-    assert says(text) != first
 
 
 def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
@@ -107,6 +139,24 @@ def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path, in
     assert f"color-mask, {FILE}" in text
     assert "0 of 5 bags to within 2 cm" in text  # the page is about the simulated one
     assert "Plans against the truth or what the camera saw" in text
+
+
+def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_camera_is_is_not(tmp_path):
+    file, lens = tmp_path / "cell.yaml", tmp_path / "camera.yaml"
+    lens.write_text("made: once")
+    text = "arm: {kind: franka, host: 10.0.0.2}\ncamera: 0\ncalibrations: {intrinsics: camera.yaml}\n"
+
+    def says(written):
+        file.write_text(written)
+        return closed_loop_of_bags._says(file)
+
+    first = says(text)
+    assert (
+        says(f"# at night\n{text.replace('10.0.0.2', '10.0.0.3').replace('camera: 0', 'camera: 2')}") == first
+    )
+    assert says(f"{text}bag: {{length_m: 0.13}}\n") != first
+    lens.write_text("made: again")
+    assert says(text) != first
 
 
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):

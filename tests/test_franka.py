@@ -30,7 +30,7 @@ from baggie.workcell.limits import GuardedArm
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from fci_server import BOX_TOP_M
 
-franky = pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+franky = pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 HIGH = ToolPose(0.49, 0.0, 0.20)  # above the box
 LIMITS = WorkcellSettings().limits
 

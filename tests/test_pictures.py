@@ -42,7 +42,7 @@ SQUARE = np.array([[20.0, 30], [60, 32], [58, 72], [18, 70]])
         torch.from_numpy(COLOR),
         torch.from_numpy(COLOR).permute(2, 0, 1) / 255,
     ],
-    ids=lambda form: f"{type(form).__name__} {getattr(form, 'dtype', '')}{getattr(form, 'mode', '')}",
+    ids=range(12),
 )
 def test_the_same_picture_in_any_form(form: Any) -> None:
     seen = Observation(form)
@@ -107,6 +107,18 @@ def test_files_are_read_by_the_same_rule(tmp_path: Path) -> None:
         picture.save(tmp_path / name)
         expected = COLOR if name in {"color.png", "alpha.png"} else np.dstack([GREY] * 3)
         np.testing.assert_array_equal(read_picture(tmp_path / name), expected)
+
+
+def test_depth_in_millimetres_is_one_line() -> None:
+    millimetres = np.full(GREY.shape, 800, np.uint16)
+    for name in ("depth", "height"):
+        with pytest.raises(
+            BaggieError, match=f"expected the {name} in metres, .*got uint16; divide millimetres by 1000"
+        ):
+            Observation(COLOR, **{name: millimetres})  # type: ignore[arg-type]
+    depth = Observation(COLOR, millimetres / 1000).depth  # type: ignore[arg-type]
+    assert depth is not None
+    assert depth.dtype == np.float32
 
 
 @pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)

@@ -200,8 +200,8 @@ def test_a_checkpoint_of_another_policy_is_refused(tmp_path, keypoint):
         RegressionPolicy.from_pretrained(tmp_path)
 
 
-@pytest.mark.skipif(torch.backends.mps.is_available(), reason="there is one here")
-def test_a_device_that_is_not_there_is_refused(tmp_path, keypoint):
+def test_a_device_that_is_not_there_is_refused(tmp_path, keypoint, monkeypatch):
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
     keypoint.save_pretrained(tmp_path)
     with pytest.raises(BaggieError, match="device mps was asked for, but PyTorch finds none here"):
         load_policy(tmp_path, device="mps")

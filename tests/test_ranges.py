@@ -13,8 +13,11 @@ import pytest
 from annotated_types import Interval
 
 from baggie import cli
-from baggie.errors import UsageError
+from baggie.commissioning.points import parse_marker
+from baggie.errors import BaggieError, UsageError
+from baggie.lab.options import LabOptions
 from baggie.ranges import Count, Options, Point, Share, hints
+from baggie.vision.targets import parse_target
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ def test_the_command_says_so_in_one_line_and_ends_with_2(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("train --steps 0", "expected --steps to be a number of at least 1, got 0"),
+        ("train --steps 0", "expected --steps to be a number from 1 to 10000000, got 0"),
         ("train --seed -1", "expected --seed to be a number from 0 to 9223372036854775807, got -1"),
         ("evaluate --policy x --radius-cm nan", "expected --radius-cm to be a number above 0, got nan"),
         ("import-ravens x --x 1 0", "expected bounds of x from low to high, metres, got 1.0 to 0.0"),
@@ -171,6 +174,29 @@ def test_what_is_said(words: str, line: str, tmp_path: Path, capsys: pytest.Capt
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("read", "words"),
+    [
+        (parse_target, "charuco:100000x5:0.03:0.02:DICT_4X4_50"),
+        (parse_target, f"chessboard:{'9' * 20}x6:0.02"),
+        (parse_target, "chessboard:9x6:nan"),
+        (parse_target, "aruco:DICT_4X4_50:3:inf"),
+        (parse_marker, "color:300,0,0"),
+        (parse_marker, "color:-1,0,0"),
+        *(
+            (lambda words: LabOptions(fault=(words,)).faults(), f"reflex:{after}")
+            for after in ("nan", "inf", "-1", "x")
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_numbers_in_words_are_refused_too(read: Callable[[str], object], words: str) -> None:
+    with pytest.raises(BaggieError, match="expected") as error:
+        read(words)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 @dataclass(frozen=True)
 class Asked(Options):
     """Some of every kind."""
@@ -181,8 +207,8 @@ class Asked(Options):
 
 
 def test_numbers_inside_are_kept_as_they_are() -> None:
-    asked = Asked(10**18, 1.0, (-10.0, 0.0, 10.0))
-    assert (asked.many, asked.part, asked.place) == (10**18, 1.0, (-10.0, 0.0, 10.0))
+    asked = Asked(10**7, 1.0, (-10.0, 0.0, 10.0))
+    assert (asked.many, asked.part, asked.place) == (10**7, 1.0, (-10.0, 0.0, 10.0))
     for wrong_one in ({"part": 1.1}, {"place": (0.0, 0.0, math.nan)}, {"many": 0}):
         with pytest.raises(UsageError):
             Asked(**wrong_one)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from baggie.evaluation.report import ReportOptions, report
 from test_report import fused, in_process, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: sudo apt-get install chromium")
 
 # Frames, as a window without a screen cannot be as narrow as a telephone.
 PROBE = """<!doctype html><link rel="icon" href="data:,"><body><script>

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -132,6 +133,27 @@ def test_root_has_them_installed_and_looks_again_in_a_new_process(
     assert system_libraries.main(may_install=True) == 7
     assert ran[1][-2:] == ["libgomp1", "libusb-1.0-0"]
     assert ran[2][-1] == "--only-look"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make: sudo apt-get install make")
+@pytest.mark.parametrize("target", ["test", "demo"])
+def test_make_looks_before_it_downloads(target: str) -> None:
+    words = ["make", "--dry-run", "VENV=nowhere", target]
+    plan = subprocess.run(words, cwd=SOURCE.parent, capture_output=True, text=True, check=True).stdout
+    steps = (
+        "-I src/baggie/system_libraries.py",
+        "pip install",
+        {"test": "-m pytest", "demo": "demo.py"}[target],
+    )
+    places = [plan.index(step) for step in steps]
+    assert places == sorted(places)
+
+
+def test_the_page_on_installing_names_the_same(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    system_libraries.main(may_install=False)
+    command = capsys.readouterr().err.split(": ")[-1]
+    page = SOURCE.parent / "docs" / "installing.md"
+    assert f"\n{command}" in page.read_text()
 
 
 def test_it_runs_on_a_python_without_any_package_and_finds_all_here() -> None:

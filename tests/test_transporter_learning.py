@@ -134,7 +134,7 @@ def taught(tmp_path_factory) -> Path:
         few_steps = TransporterOptions(batch=2, rearranged=0.0)  # rearranged, scenes take longer to learn
         return TransporterRecipe(read_demonstrations(attempts), few_steps)
 
-    train(options(out, train=31, val=1, steps=140), ATTEMPTS, recipe)
+    train(options(out, train=31, val=1, steps=180, seed=2), ATTEMPTS, recipe)
     return out
 
 
@@ -159,24 +159,27 @@ def errors(policy, number: int, move=None) -> tuple[float, float, float]:
     )
 
 
-def test_learns_where_the_box_and_its_slot_are_and_how_to_turn(taught):
+def test_learns_where_the_box_and_its_slot_are_and_how_to_turn(taught, below):
     policy = load_policy(taught)
     found = np.array([errors(policy, number) for number in range(20)])
     pick_mm, place_mm, turn_deg = np.median(found, axis=0)
-    assert pick_mm < 14  # on the box, which is 40 mm wide: with so few steps the pick is the last to sharpen
-    assert place_mm < 4
-    assert turn_deg < 6
+    below(
+        "pick (mm)", pick_mm, 14
+    )  # on the box, 40 mm wide: with so few steps the pick is the last to sharpen
+    below("place (mm)", place_mm, 4)
+    below("turn (deg)", turn_deg, 6)
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_plans_turn_with_the_scene(taught, quarters):
+def test_plans_turn_with_the_scene(taught, below, quarters):
     policy = load_policy(taught)
     move = rigid_move(quarters * math.pi / 2, np.zeros(2), (96, 96))
-    found = np.array([errors(policy, number, move) for number in range(8)])
-    assert (np.median(found, axis=0) < [14, 5, 8]).all()
+    found = np.median([errors(policy, number, move) for number in range(20)], axis=0)
+    for what, value, bound in zip(("pick (mm)", "place (mm)", "turn (deg)"), found, (14, 5, 8), strict=True):
+        below(what, value, bound)
 
 
-def test_plans_shift_with_the_scene(taught):
+def test_plans_shift_with_the_scene(taught, below):
     """By whole cells of the coarsest scale, where only what comes in at the edges is new."""
     policy = load_policy(taught)
     color, height, _ = box_scene(
@@ -191,8 +194,8 @@ def test_plans_shift_with_the_scene(taught):
         actions.append(policy.plan(Observation(colors, grid=large, height=heights)).action.to_array())
     shift = 16 * GRID.pixel_m
     moved = actions[1] - actions[0]
-    assert moved[[0, 1, 3, 4]] == pytest.approx([shift] * 4, abs=0.004)
-    assert math.degrees(math.remainder(moved[5], math.tau)) == pytest.approx(0, abs=5)
+    below("pick and place (m)", np.abs(moved[[0, 1, 3, 4]] - shift).max(), 0.004)
+    below("turn (deg)", abs(math.degrees(math.remainder(moved[5], math.tau))), 5)
 
 
 def test_a_taught_policy_keeps_the_contract(taught):

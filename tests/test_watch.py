@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from baggie.types import Image
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.watch import LANDINGS, REFERENCE_FILE, Watch
 from fake_workcell import FakeCamera, FakeCell
+from streaming import stream_here
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,10 @@ def open_bumped_cell(number: int, size: tuple[int, int]) -> FakeCell:
     return cell
 
 
-def test_nothing_is_recorded_once_the_camera_was_bumped(tmp_path: Path) -> None:
+def test_nothing_is_recorded_once_the_camera_was_bumped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_module("baggie.collect.collect"), "stream_in_processes", stream_here)
     options = CollectOptions(out=tmp_path / "bags", attempts=60, workers=1)
     open_cell = functools.partial(open_bumped_cell, size=(640, 360))
     with pytest.raises(BumpedError, match="calibrate again"):

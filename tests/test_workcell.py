@@ -14,12 +14,14 @@ import baggie
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace, Plan
+from baggie.workcell import config
 from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.real import RealWorkcell
+from baggie.workcell.simulated import SIMULATED_HANDLING
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
@@ -253,6 +255,21 @@ def test_a_workcell_file_is_read(tmp_path: Path) -> None:
 FRANKA = "arm:\n  kind: franka\n  host: 192.0.2.1\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "force_n"),
+    [("arm: sim\n", SIMULATED_HANDLING.land_force_n), ("arm: sim\nhandling: {land_force_n: 7}\n", 7.0)],
+)
+def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, force_n: float
+) -> None:
+    opened: list[WorkcellSettings] = []
+    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, _bag: opened.append(settings))
+    path = tmp_path / "cell.yaml"
+    path.write_text(text)
+    config._open(read_workcell_file(path), path)
+    assert opened[0].handling == replace(SIMULATED_HANDLING, land_force_n=force_n)
+
+
 def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(f"{FRANKA}  model: panda\ncamera: 0\n")
@@ -263,7 +280,7 @@ def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:
 
 
 def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> None:
-    pytest.importorskip("franky", reason="needs pip install 'baggie[franka]'")
+    pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
     video = tmp_path / "table.avi"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
     writer.write(np.zeros((48, 64, 3), np.uint8))

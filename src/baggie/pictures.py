@@ -33,6 +33,19 @@ def as_picture(picture: Any) -> NDArray[np.uint8]:
     return np.ascontiguousarray(array if array.dtype == np.uint8 else _in_8_bits(array))
 
 
+def as_metres(values: Any, name: str) -> NDArray[np.float32]:
+    """Depths or heights as float32, metres; `name` says which.
+
+    Raises `BaggieError` for whole numbers: those are a camera's own units, millimetres most often.
+    """
+    array = _array(values)
+    if array.dtype.kind != "f":
+        raise BaggieError(
+            f"expected the {name} in metres, as fractions, got {array.dtype}; divide millimetres by 1000"
+        )
+    return array.astype(np.float32, copy=False)
+
+
 def as_outline(corners: Any) -> FloatArray:
     """A goal's corners as `(N, 2)` pixels (u, v), in order around it.
 

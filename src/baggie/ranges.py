@@ -11,9 +11,11 @@ from annotated_types import Interval
 
 from baggie.errors import UsageError
 
-Number = Annotated[int, Interval(ge=0)]
+_MANY = 10**7
+"""More than anybody has time for, and few enough to be listed."""
+Number = Annotated[int, Interval(ge=0, le=_MANY)]
 """How many, none perhaps."""
-Count = Annotated[int, Interval(ge=1)]
+Count = Annotated[int, Interval(ge=1, le=_MANY)]
 """How many, at least one."""
 Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 """What names something random: whatever fits a column of a recording."""

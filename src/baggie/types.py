@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
-from baggie.pictures import as_outline, as_picture
+from baggie.pictures import as_metres, as_outline, as_picture
 
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
@@ -67,7 +67,7 @@ class Observation:
     """What a camera saw once; or, with a grid, the table as seen from straight above.
 
     An orthographic picture (`baggie.vision.height_map`) has `grid` and `height` in place of `intrinsics` and `depth`.
-    Raises `BaggieError` for a picture that is none.
+    Raises `BaggieError` for a picture that is none, and for depths in a camera's own units.
     """
 
     color: Image
@@ -84,6 +84,9 @@ class Observation:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "color", as_picture(self.color))
+        for name in ("depth", "height"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, as_metres(getattr(self, name), name))
 
     @property
     def size(self) -> tuple[int, int]:

@@ -83,11 +83,11 @@ def parse_marker(spec: str) -> tuple[Find, Marker | None]:
     Raises `BaggieError` for anything else.
     """
     color = re.fullmatch(r"color:(\d+),(\d+),(\d+)", spec)
-    if color is not None:
+    if color is not None and max(map(int, color.groups())) <= 255:
         return color_finder((int(color[1]), int(color[2]), int(color[3]))), None
     marker = None if spec.startswith("color:") else parse_target(spec)
     if not isinstance(marker, Marker):
         raise BaggieError(
-            f"expected a marker as aruco:DICTIONARY:NUMBER:SIZE (metres) or color:R,G,B, got {spec!r}"
+            f"expected a marker as aruco:DICTIONARY:NUMBER:SIZE (metres) or color:R,G,B, each at most 255, got {spec!r}"
         )
     return marker_finder(marker), marker

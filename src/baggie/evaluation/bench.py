@@ -1,16 +1,21 @@
-"""What an episode needs: a cell whose truth is known, and the policy to try in it."""
+"""What an episode needs: a cell, where its bag is, and the policy to try in it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.policies.base import Policy
 from baggie.types import Image, Observation, Outcome, Plan
+from baggie.workcell.limits import Limits
+
+Find = Callable[[Observation], PlanarPose]
+"""Where a picture shows the bag, robot base frame. Raises `BaggieError` where it does not."""
 
 
 class Settings(Protocol):
@@ -19,6 +24,11 @@ class Settings(Protocol):
     @property
     def workspace(self) -> Rectangle:
         """Where bags may lie, robot base frame, metres."""
+        ...
+
+    @property
+    def limits(self) -> Limits:
+        """Where the hand may go."""
         ...
 
     @property
@@ -33,7 +43,7 @@ class Settings(Protocol):
 
 
 class EvaluationCell(Protocol):
-    """A workcell whose scenes can be set and whose truth is known: a simulated one, or what a real one sees."""
+    """A workcell whose scenes can be set: a simulated one, or a real one as it is."""
 
     @property
     def settings(self) -> Settings:
@@ -52,8 +62,8 @@ class EvaluationCell(Protocol):
         """Pick and place; raises `UnsureError`, `LimitError` and `ReachError`."""
         ...
 
-    def truth(self) -> PlanarPose:
-        """Where the bag is."""
+    def truth(self) -> PlanarPose | None:
+        """Where the bag is now; None where nobody knows."""
         ...
 
     def second_truth(self) -> PlanarPose | None:
@@ -85,5 +95,31 @@ class Bench:
     policy: Policy
     image_to_robot: ImageToRobot | None = None
     """A map of this cell that knows more than one height: with it a card's corners are raised to the bag's."""
+    find: Find | None = None
+    """Where a picture shows the bag: for a cell of which nobody knows the truth."""
     goal: PlanarPose = field(init=False)
     """Where the bag is to go in this episode; only an oracle may ask."""
+
+    def bag_at_start(self) -> PlanarPose:
+        """Where the bag lies in a scene that has just begun: the truth, or else as a picture of it shows.
+
+        Raises `BaggieError` where that shows none, or one that lies where no plan gets it back: that takes a person.
+        """
+        truth = self.cell.truth()
+        if truth is not None:
+            return truth
+        bag, reach = self.bag_in(self.cell.look()), self.cell.settings.limits.workspace
+        if not reach.contains(bag.x, bag.y):
+            raise BaggieError(
+                f"expected the object within {reach}, got it at x {bag.x:.2f} m, y {bag.y:.2f} m; put it back and give "
+                "the same command again: it goes on from there"
+            )
+        return bag
+
+    def bag_in(self, seen: Observation) -> PlanarPose:
+        """Where the bag was in the last picture: the truth, which is what it was then, or else as the picture shows."""
+        truth = self.cell.truth()
+        if truth is not None:
+            return truth
+        assert self.find is not None, "nobody knows where the bag is"
+        return self.find(seen)

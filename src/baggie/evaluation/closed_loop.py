@@ -19,7 +19,14 @@ from baggie.evaluation.kind import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.results import EVALUATION, check_unmixed, provenance, write_json
-from baggie.evaluation.subjects import UNKNOWN, config_of, fingerprint, in_its_cell, policy_name
+from baggie.evaluation.subjects import (
+    UNKNOWN,
+    check_taught,
+    config_of,
+    fingerprint,
+    in_its_cell,
+    policy_name,
+)
 from baggie.policies.learned import check_device
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
@@ -48,6 +55,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
     console = Console(stderr=True)
     name = policy_name(options.policy)
+    check_taught(options.policy, options.task)
     _warn_of_another_cell(options, console)
     conditions = kind.conditions(options, console) if kind.conditions else {}
     _same_evaluation(options, conditions)

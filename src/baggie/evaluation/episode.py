@@ -40,7 +40,7 @@ class Episode(EpisodeRecord):
     """The last action asked for, `PickPlace.to_array`; None without one."""
     executed: tuple[float, ...] | None
     pick_error_cm: float | None
-    """From the last plan's pick to the bag's true middle when it was made; None without a plan, as below."""
+    """From the last plan's pick to the bag's middle in the picture it was made from; None without a plan, as below."""
     place_error_cm: float | None
     """From its place to the goal."""
     pick_yaw_error_deg: float | None
@@ -78,15 +78,15 @@ def run_episode(
     began = time.perf_counter()
     cell = bench.cell
     cell.reset([*stream, number])
-    start = cell.truth()
-    pose = bench.goal = draw_goal(cell, goal_kind, (*stream, number))
+    start = bench.bag_at_start()
+    pose = bench.goal = draw_goal(cell, start, goal_kind, (*stream, number))
     if goal_kind == "card":
         cell.lay_card(pose)
     filming = cell.film(fps=FILM_FPS) if film else contextlib.nullcontext([])
     with filming as frames:
         turns = _take_turns(bench, goal_kind, (*stream, number), retries)
         after = cell.look()
-    final, symmetry = cell.truth(), cell.settings.object_symmetry
+    final, symmetry = bench.bag_in(after), cell.settings.object_symmetry
     plan, outcome = (turns.last.plan, turns.last.outcome) if turns.last else (None, None)
     scene = EpisodeScene(cell, pose, turns.bag, final)
     save_pictures(out / f"episode-{number:04d}", scene, before=(turns.seen, turns.goal, plan), after=after)
@@ -122,7 +122,7 @@ class _Turns:
     seen: Observation
     """The picture the last plan was made from."""
     bag: PlanarPose
-    """Where the bag truly was in it; a missed grasp may have moved it."""
+    """Where the bag was in it; a missed grasp may have moved it."""
     goal: Goal | None = None
     """As the policy was told it; None where the card was not found."""
     last: Turn | None = None
@@ -133,7 +133,8 @@ class _Turns:
 
 def _take_turns(bench: Bench, goal_kind: GoalKind, stream: Sequence[int], retries: int) -> _Turns:
     cell = bench.cell
-    turns = _Turns(cell.look(), cell.truth())
+    seen = cell.look()
+    turns = _Turns(seen, bench.bag_in(seen))
     try:
         goal = goal_in(bench, goal_kind, bench.goal, turns.seen, stream)
     except NoCardError as error:
@@ -143,7 +144,8 @@ def _take_turns(bench: Bench, goal_kind: GoalKind, stream: Sequence[int], retrie
     turns.goal = goal
     for look_again in range(1 + retries):
         if look_again:
-            turns.seen, turns.bag = cell.look(), cell.truth()
+            turns.seen = cell.look()
+            turns.bag = bench.bag_in(turns.seen)
         turns.last = turn = take_turn(bench.policy, cell, turns.seen, goal)
         turns.decision_ms.append(turn.decision_ms)
         turns.message = turn.message

@@ -33,8 +33,8 @@ class NoCardError(BaggieError):
     """The goal card is not to be seen."""
 
 
-def draw_goal(cell: EvaluationCell, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
-    """Where the bag is to go: as the collector draws places, uniform in the workspace, at least 20 cm from the bag.
+def draw_goal(cell: EvaluationCell, bag: PlanarPose, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
+    """Where the bag is to go: as the collector draws places, uniform in the workspace, at least 20 cm from where it is.
 
     Square to the workspace if `virtual`, else at any angle; at least 16 cm from obstacles and from a second bag. Raises
     `BaggieError` where there is no such place.
@@ -43,7 +43,7 @@ def draw_goal(cell: EvaluationCell, kind: GoalKind, stream: Sequence[int]) -> Pl
     second = cell.second_truth()
     occupied = [*cell.obstacles(), *([second] if second else [])]
     pose = first_fit(
-        lambda: random_place(cell.settings.workspace, cell.truth(), rng),
+        lambda: random_place(cell.settings.workspace, bag, rng),
         lambda place: all(place.distance(other) >= CLEARANCE_M for other in occupied),
         _TRIES,
     )
@@ -66,7 +66,7 @@ def goal_in(bench: Bench, kind: GoalKind, pose: PlanarPose, seen: Observation, s
     Raises `NoCardError` where it is not found.
     """
     cell = bench.cell
-    object_at = _click(cell, stream) if cell.second_truth() else None
+    object_at = _click(cell, bench.bag_in(seen), stream) if cell.second_truth() else None
     if kind != "card":
         return Goal(cell.goal_corners(pose), object_at=object_at)
     card = find_card(seen.color)
@@ -81,11 +81,10 @@ def goal_in(bench: Bench, kind: GoalKind, pose: PlanarPose, seen: Observation, s
     return Goal(corners, "card", card.color, object_at)
 
 
-def _click(cell: EvaluationCell, stream: Sequence[int]) -> tuple[float, float]:
+def _click(cell: EvaluationCell, bag: PlanarPose, stream: Sequence[int]) -> tuple[float, float]:
     """A pixel on the bag to be moved, uniform within 2 cm of its middle."""
     rng = seeds.generator(*stream, _CLICKS)
     radius, angle = CLICK_M * math.sqrt(rng.random()), rng.uniform(-math.pi, math.pi)
-    bag = cell.truth()
     there = PlanarPose(bag.x + radius * math.cos(angle), bag.y + radius * math.sin(angle))
     u, v = np.asarray(cell.goal_corners(there)).mean(axis=0)
     return float(u), float(v)

@@ -33,4 +33,4 @@ def open_bench(options: EvaluateOptions) -> Bench:
     except BaggieError:
         opened.close()
         raise
-    return Bench(cell, policy, cell.image_to_robot)
+    return Bench(cell, policy, cell.image_to_robot, cell.find)

@@ -10,17 +10,18 @@ from baggie.collect.detect import at_outline, detect
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.types import Image, Observation, Outcome, Plan
-from baggie.workcell.workcell import Workcell, WorkcellSettings
+from baggie.workcell.real import RealWorkcell
+from baggie.workcell.workcell import WorkcellSettings
 
 
 class SeenCell:
-    """Nobody lays the table anew: a scene begins where the one before it ended.
+    """Nobody lays the table anew: a scene begins where the one before it ended. And nobody knows the truth.
 
-    The object is found by its colour, and the workcell's `image_to_robot` says where that is. So what is measured here
-    is as right as that map; the policy does not need it.
+    In a picture the object is found by its colour, and the workcell's `image_to_robot` says where that is. So what is
+    measured here is as right as that map; the policy does not need it.
     """
 
-    def __init__(self, cell: Workcell, path: Path) -> None:
+    def __init__(self, cell: RealWorkcell, path: Path) -> None:
         """`path`: of its file, for people. Raises `BaggieError` where it names no map from the picture to the robot."""
         if cell.calibrations.image_to_robot is None:
             raise BaggieError(
@@ -37,16 +38,8 @@ class SeenCell:
         return self._cell.settings
 
     def reset(self, seed: Sequence[int]) -> None:
-        """The arm parks, and the scene stays as it is.
-
-        Raises `BaggieError` where no object is in sight, or it lies where no plan gets it back: that takes a person.
-        """
-        bag, reach = self.truth(), self.settings.limits.workspace
-        if not reach.contains(bag.x, bag.y):
-            raise BaggieError(
-                f"expected the object within {reach}, got it at x {bag.x:.2f} m, y {bag.y:.2f} m; put it back and give "
-                "the same command again: it goes on from there"
-            )
+        """What the hand still holds is put down, the arm parks, and the rest stays as it is."""
+        self._cell.reset(seed)
 
     def look(self) -> Observation:
         """A picture with the arm out of view."""
@@ -56,9 +49,12 @@ class SeenCell:
         """As `Workcell.carry_out`."""
         return self._cell.carry_out(plan)
 
-    def truth(self) -> PlanarPose:
-        """Where the object is seen. Raises `BaggieError` where it is not in sight."""
-        found = detect(self.look(), self.image_to_robot, self.settings)
+    def truth(self) -> None:
+        """Nobody knows where the object really is."""
+
+    def find(self, seen: Observation) -> PlanarPose:
+        """Where a picture shows the object. Raises `BaggieError` where it shows none."""
+        found = detect(seen, self.image_to_robot, self.settings)
         if found is None:
             raise BaggieError(
                 f"expected an object of colour RGB {self.settings.object_color} in the picture of {self._path}, found "

@@ -6,10 +6,14 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from baggie.collect.options import INSTRUCTIONS
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
+from baggie.sim.tasks import TASKS
 
+_FROM_ABOVE = "transporter"
+"""The policy that looks at height maps, unless it has a camera."""
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
 UNKNOWN = ""
@@ -44,6 +48,28 @@ def config_of(policy: str) -> dict[str, Any]:
 def in_its_cell(policy: str, cell: int) -> bool:
     """Whether a policy, if it was trained, was trained in this cell."""
     return bool(config_of(policy).get("cell", cell) == cell)
+
+
+def check_taught(policy: str, task: str) -> None:
+    """Raise `BaggieError` where a policy was taught another task, or looks at other pictures than this one shows."""
+    config = config_of(policy)
+    if not config:
+        return
+    instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
+    words = INSTRUCTIONS | {name: known.instruction for name, known in TASKS.items()}
+    taught = next((name for name in words if words[name] == instruction), task)
+    if taught != task:
+        raise BaggieError(
+            f"expected a policy that was taught {task}, got {policy}, which was taught {taught}; "
+            f"give --task {taught}, or another policy"
+        )
+    from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
+    if from_above != (task in TASKS):
+        looks, needed = ("height maps", "a camera's pictures")[:: 1 if from_above else -1]
+        raise BaggieError(
+            f"expected a policy that looks at {needed} with --task {task}, got {policy}, which looks at {looks}; "
+            "give the --task that it was taught"
+        )
 
 
 def policy_name(policy: str) -> str:

@@ -75,15 +75,20 @@ FAULTS = {
 def cause(name: str, lab: Lab, camera: LabCamera, after_s: float = 0.0, seconds: float = DEFAULT_S) -> None:
     """Let something of `FAULTS` go wrong when `after_s` have passed in the lab, for `seconds` where it lasts.
 
-    Raises `BaggieError` for what is not there.
+    Raises `BaggieError` as `check_fault` does.
     """
+    check_fault(name, after_s, seconds)
+    lab.later(after_s, lambda: FAULTS[name].happen(lab, camera, seconds))
+
+
+def check_fault(name: str, after_s: float = 0.0, seconds: float = DEFAULT_S) -> None:
+    """Raise `BaggieError` for a fault that is not there, and for times that are none."""
     if name not in FAULTS:
         raise BaggieError(f"expected a fault among {', '.join(FAULTS)}, got {name!r}")
     if not (0 <= after_s <= LONGEST_S and 0 <= seconds <= LONGEST_S):
         raise BaggieError(
             f"expected times of a fault from 0 to {LONGEST_S:g} s, got after {after_s:g} s for {seconds:g} s"
         )
-    lab.later(after_s, lambda: FAULTS[name].happen(lab, camera, seconds))
 
 
 def _heal(lab: Lab, camera: LabCamera) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,9 +36,16 @@ class LabOptions(Options):
 
     def faults(self) -> list[tuple[str, float]]:
         """Names of faults, and when they come. Raises `UsageError` for what is neither."""
-        try:
-            return [
-                (name, float(after or 0)) for name, _, after in (words.partition(":") for words in self.fault)
-            ]
-        except ValueError:
-            raise UsageError(f"expected --fault NAME or NAME:SECONDS, got {' '.join(self.fault)}") from None
+        faults = []
+        for words in self.fault:
+            name, _, after = words.partition(":")
+            try:
+                after_s = float(after or 0)
+            except ValueError:
+                after_s = math.nan
+            if not 0 <= after_s < math.inf:
+                raise UsageError(
+                    f"expected --fault NAME or NAME:SECONDS, of the lab's time, got {words}; try {name}:5"
+                )
+            faults.append((name, after_s))
+        return faults

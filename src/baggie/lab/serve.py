@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable
 
 from baggie.files import write_text
-from baggie.lab.faults import cause
+from baggie.lab.faults import cause, check_fault
 from baggie.lab.lab import Lab
 from baggie.lab.options import LabOptions
 from baggie.lab.web import STREAM, LabServer
@@ -35,6 +35,8 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None]) -> None:
     Raises `BaggieError` where an address cannot be had, or a fault is not one.
     """
     options.check()
+    for name, after_s in options.faults():
+        check_fault(name, after_s)
     logging.getLogger("franky_sim").setLevel(logging.CRITICAL)  # a client that hangs up is no news
     lab = Lab(options.cell, options.seed, options.host, options.pace)
     server = LabServer(lab, options.camera_port)

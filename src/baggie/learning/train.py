@@ -135,6 +135,7 @@ def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[
     """What `config.yaml` says of the training: all that decides its result."""
     return {
         "data": str(options.data),
+        "task": split.train[0].task,
         "labels": _fingerprint(split.train),
         "seed": options.seed,
         "steps": steps,
@@ -160,7 +161,9 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     path = options.out / checkpoint.CONFIG
     if path.exists():
         found, asked = checkpoint.read_config(options.out), policy.config()
-        if "labels" not in found.get("training", {}):  # an older version did not write it down
+        # An older version did not write either down: its run was taught the task of its data, too.
+        found["training"] = {"task": policy.training["task"], **found.get("training", {})}
+        if "labels" not in found["training"]:
             del asked["training"]["labels"]
         if found != asked:
             raise DataError(

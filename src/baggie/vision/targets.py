@@ -254,9 +254,9 @@ def _check(right: bool, expected: str) -> None:
 
 
 def _grid(words: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", words)
+    match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", words)
     if match is None:
-        raise ValueError("a grid such as 7x5")
+        raise ValueError("a grid such as 7x5, at most 999x999")
     return int(match[1]), int(match[2])
 
 

@@ -23,7 +23,7 @@ from baggie.workcell.lerobot_link import open_robot
 from baggie.workcell.python_arm import open_python_arm
 from baggie.workcell.real import RealWorkcell
 from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.simulated import SimulatedWorkcell
+from baggie.workcell.simulated import SIMULATED_HANDLING, SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import (
     CalibrationFiles,
@@ -96,6 +96,8 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
     if isinstance(entry, SimulatedEntry):
+        if "handling" not in written.model_fields_set:
+            settings = replace(settings, handling=SIMULATED_HANDLING)
         return SimulatedWorkcell(written.cell, settings, bag)
     arm = _open_arm(entry, path.parent)
     if settings.handling.open_width_m > arm.info.max_width_m:

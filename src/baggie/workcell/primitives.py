@@ -33,8 +33,8 @@ class Handling:
     """The lowest the tool goes for a grasp."""
     touch_force_n: float = 10.0
     """Fingertips that feel this stand on something hard; on soft cloth they sink in to `pick_z_m`."""
-    land_force_n: float = 3.0
-    """Felt when what hangs in the hand stands on something."""
+    land_force_n: float = 10.0
+    """Felt when what hangs in the hand is pressed flat on something: let go at the first touch, it would topple."""
     place_z_m: float = 0.024
     """The lowest the tool goes to let go."""
     open_width_m: float = 0.08

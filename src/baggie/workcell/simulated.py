@@ -17,10 +17,14 @@ from baggie.sim.variety import Scenery, Variety, draw_variety
 from baggie.sim.world import World
 from baggie.vision.targets import Target
 from baggie.workcell.mujoco_workcell import MujocoWorkcell
+from baggie.workcell.primitives import Handling
 from baggie.workcell.simulated_arm import SimulatedArm
 from baggie.workcell.simulated_camera import SimulatedCamera
 from baggie.workcell.workcell import WorkcellSettings
 
+SIMULATED_HANDLING = Handling(land_force_n=3.0)
+"""The simulated wrist feels no cloth, only how its load swings: bags are pressed flat whatever this is. It stays what
+it was, so that attempts of a seed do, too."""
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
 
@@ -40,7 +44,9 @@ class SimulatedWorkcell(MujocoWorkcell):
     ):
         self.scenery: Scenery = scenery
         self._plain = draw_cell(cell), bag or BagParameters()
-        settings = settings or _describing(self._plain[1], WorkcellSettings(name=f"sim cell {cell}"))
+        settings = settings or _describing(
+            self._plain[1], WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)
+        )
         first = draw_variety(scenery, *self._plain, settings.workspace, _FIRST)
         self.world: World = _build(first)
         self._simulated_arm = SimulatedArm(self.world)
