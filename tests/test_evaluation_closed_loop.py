@@ -246,6 +246,12 @@ def test_another_device_is_another_evaluation(tmp_path, in_process, monkeypatch)
         evaluate(options(tmp_path, episodes=1, device="cuda"), open_perfect)
 
 
+def test_a_real_workcell_is_another_evaluation_than_a_simulated_one(tmp_path, in_process):
+    evaluate(options(tmp_path, policy="color-mask", episodes=1), open_perfect)
+    with pytest.raises(BaggieError, match=r"holds an evaluation with workcell None, not cell\.yaml"):
+        evaluate(options(tmp_path, policy="color-mask", episodes=1, workcell=Path("cell.yaml")), open_perfect)
+
+
 def test_an_evaluation_of_an_older_version_goes_on_and_is_told_apart_from_then_on(tmp_path, in_process):
     evaluate(options(tmp_path, episodes=1), open_perfect)
     path = tmp_path / "evaluation.json"

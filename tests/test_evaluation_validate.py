@@ -11,10 +11,12 @@ import yaml
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as module
+from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.heldout import demonstrations, held_out
 from baggie.evaluation.metrics import success_rate
 from baggie.evaluation.validate import ValidateOptions, validate
 from baggie.geometry import PlanarPose
+from baggie.learning import TrainOptions, train
 from baggie.types import PickPlace, Plan
 from synthetic import TASK, make_attempt
 
@@ -110,6 +112,22 @@ def test_a_quarter_turn_is_wrong_on_a_long_bag_and_right_on_a_square_or_a_round_
     off = [prediction["errors"]["truth"]["pick_yaw_error_deg"] for prediction in predictions]
     tenth = np.degrees(0.1)
     assert off == pytest.approx([tenth, 90 - tenth, 0, tenth])
+
+
+def test_results_of_one_kind_are_not_written_over_those_of_another(tmp_path, recording):
+    run = run_of(tmp_path, recording)
+    asked = {
+        "validation": lambda: validate(ValidateOptions(str(run), recording, run)),
+        "evaluation": lambda: evaluate(EvaluateOptions("oracle", run, episodes=1)),
+    }
+    for ask in asked.values():
+        with pytest.raises(BaggieError, match="run holds a training"):
+            ask()
+    assert [path.name for path in run.iterdir()] == ["config.yaml"]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/evaluation.json").write_text("{}")
+    with pytest.raises(BaggieError, match="out holds an evaluation"):
+        train(TrainOptions(recording, tmp_path / "out"))
 
 
 def test_attempts_without_a_plan_are_counted_and_come_first(tmp_path, recording, monkeypatch):

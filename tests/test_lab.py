@@ -274,6 +274,7 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         *(f"bag?x=0.5&y=0.1&yaw={wrong}" for wrong in ("nan", "inf", "left")),
         "bag?y=0.1",
         "bag?x=0.5&y=0.1&z=0.2",
+        "bag?x=0.5&y=0.1&undented=nan",
         *(f"reset?seed={wrong}" for wrong in ("nan", "-1", "1e400", "1.5", "9" * 5000, "")),
         *(f"paddle?shown={wrong}" for wrong in ("nan", "2", "-1", "yes")),
         "paddle",

@@ -18,7 +18,7 @@ from baggie.evaluation.block_tasks import BLOCKS
 from baggie.evaluation.kind import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.results import provenance, write_json
+from baggie.evaluation.results import EVALUATION, check_unmixed, provenance, write_json
 from baggie.evaluation.subjects import (
     UNKNOWN,
     check_taught,
@@ -33,6 +33,8 @@ from baggie.progress import progress_bar
 
 __all__ = ["EvaluateOptions", "OpenBench", "evaluate"]
 
+_LATER = frozenset({"device", "calibration", "workcell_says"})
+"""What older versions did not write down of an evaluation."""
 OpenBench = Callable[[EvaluateOptions], Any]
 """Makes a cell and the policy in it, a bench of the task's kind (`baggie.evaluation.kind`); called once in each
 process, so it must be a function of a module.
@@ -49,6 +51,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
     """
     options.check()
     check_device(options.device)
+    check_unmixed(options.out, EVALUATION)
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
     console = Console(stderr=True)
     name = policy_name(options.policy)
@@ -113,9 +116,9 @@ def _place(options: EvaluateOptions) -> dict[str, Any]:
 
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:
     """Never mix two evaluations in one folder: the log belongs to one policy, one stream of scenes, and all else that
-    decides how an episode ends. What an older version did not write down is taken to be the same.
+    decides how an episode ends. What older versions did not write down is taken to be the same.
     """
-    path = options.out / "evaluation.json"
+    path = options.out / EVALUATION
     asked = {
         "policy": options.policy,
         "fingerprint": fingerprint(options.policy),
@@ -127,9 +130,10 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
     }
     found = json.loads(path.read_text()) if path.exists() else {}
     for key, value in asked.items():
-        if found.get(key, UNKNOWN) not in (UNKNOWN, value):
+        told = found.get(key, UNKNOWN if key in _LATER or not found else None)
+        if told not in (UNKNOWN, value):
             raise BaggieError(
-                f"{options.out} holds an evaluation with {key} {found[key]}, not {value}; "
+                f"{options.out} holds an evaluation with {key} {told}, not {value}; "
                 "give another --out, or remove it to start again"
             )
     if found != found | asked:

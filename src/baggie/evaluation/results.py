@@ -14,10 +14,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypedDict
 
+from baggie.errors import BaggieError
 from baggie.files import write_text
 
 PACKAGES = ("baggie", "mujoco", "torch", "numpy", "opencv-python-headless", "pyarrow", "franky-sim", "mink")
 """What a number may depend on."""
+
+
+TRAINING, VALIDATION, EVALUATION = "config.yaml", "predictions.json", "evaluation.json"
+"""The file by which a folder of results of each kind is told."""
+_MARKS = {TRAINING: "a training", VALIDATION: "a validation", EVALUATION: "an evaluation"}
 
 
 class Provenance(TypedDict):
@@ -66,6 +72,19 @@ def write_results(
     parts = [f"# {title}", _table(rows), notes, "\n".join(lines)]
     write_text(markdown_path, "\n\n".join(part for part in parts if part) + "\n")
     return json_path, markdown_path
+
+
+def check_unmixed(folder: Path, own: str) -> None:
+    """Raise `BaggieError` where a folder holds results of another kind than those that the file `own` tells of.
+
+    Each kind has a `metrics.json`, and the later one would replace the earlier one's.
+    """
+    for mark, what in _MARKS.items():
+        if mark != own and (folder / mark).exists():
+            raise BaggieError(
+                f"{folder} holds {what}, whose metrics.json would be lost; give --out a folder of its own, such as "
+                f"{folder / 'more'}"
+            )
 
 
 def write_json(path: Path, content: object) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from baggie.data import open_dataset
 from baggie.evaluation.heldout import held_out
 from baggie.evaluation.predictions import measure, predict
-from baggie.evaluation.results import provenance, write_json
+from baggie.evaluation.results import VALIDATION, check_unmixed, provenance, write_json
 from baggie.evaluation.subjects import open_policy
 from baggie.evaluation.validation_pictures import Scene, save_pictures
 from baggie.evaluation.would_count import would_count
@@ -48,6 +48,7 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     of plans that would have been as right. Raises `BaggieError` when there is nothing to measure on, or the policy can
     tell nothing.
     """
+    check_unmixed(options.out, VALIDATION)
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     chosen = held_out(options.policy, dataset, options.last)
@@ -74,6 +75,6 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
         for prediction, index in by_error[:WORST]
     ]
     records = [prediction.to_json() for prediction in predictions]
-    write_json(options.out / "predictions.json", {"worst": worst, "predictions": records})
+    write_json(options.out / VALIDATION, {"worst": worst, "predictions": records})
     write_json(options.out / "metrics.json", metrics)
     return metrics

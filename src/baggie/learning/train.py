@@ -18,7 +18,7 @@ from baggie.data import open_dataset
 from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import DataError
-from baggie.evaluation.results import provenance
+from baggie.evaluation.results import TRAINING, check_unmixed, provenance
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.episodes import RULE as EPISODES_RULE
 from baggie.learning.episodes import split_episodes
@@ -56,6 +56,7 @@ def train(
     KeyboardInterrupt, whose message says how to go on, when stopped.
     """
     options.check()
+    check_unmixed(options.out, TRAINING)
     accelerator = _accelerator(options.device)
     recorded = open_dataset(options.data) if attempts is None else attempts
     of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
