@@ -329,15 +329,6 @@ def test_minimum_jerk_starts_and_ends_at_rest() -> None:
     assert velocity.max() == pytest.approx(1.875, abs=1e-3)
 
 
-def test_without_an_opengl_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    from baggie.sim import gl
-
-    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(BaggieError, match="apt-get install libegl1"):
-        gl.require_backend()
-
-
 @pytest.mark.filterwarnings("ignore")
 def test_the_environment_passes_gymnasiums_own_check() -> None:
     check_env(gymnasium.make("baggie/BagPlace-v0").unwrapped, skip_render_check=True)
