@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
-from baggie.errors import BaggieError, LimitError, ReachError
+from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
 from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import draw_cell
@@ -327,15 +327,6 @@ def test_minimum_jerk_starts_and_ends_at_rest() -> None:
     assert (np.diff(s) >= 0).all()
     assert abs(velocity[0]) < 1e-3
     assert velocity.max() == pytest.approx(1.875, abs=1e-3)
-
-
-def test_without_an_opengl_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    from baggie.sim import gl
-
-    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(BaggieError, match="apt-get install libegl1"):
-        gl.require_backend()
 
 
 @pytest.mark.filterwarnings("ignore")
