@@ -352,7 +352,7 @@ def test_a_run_begun_before_runs_said_their_task_goes_on(overfitted, tmp_path):
     config = yaml.safe_load((run / "config.yaml").read_text())
     assert config["training"].pop("task") == ATTEMPTS[0].task
     (run / "config.yaml").write_text(yaml.safe_dump(config))
-    assert train(options(run, steps=100), ATTEMPTS) == json.loads((run / "metrics.json").read_text())
+    assert train(options(run, steps=ENOUGH), ATTEMPTS) == json.loads((run / "metrics.json").read_text())
 
 
 def test_another_training_in_the_same_folder_is_refused(overfitted):
