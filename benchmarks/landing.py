@@ -101,16 +101,21 @@ def in_lab(options: Options, asked: EvaluateOptions) -> Iterator[dict[str, Any]]
         step(words, "baggie calibrate image-to-robot", lambda: calibrate(file, control))
         first_touch = file.with_name("first-touch.yaml")
         first_touch.write_text(f"{file.read_text()}handling: {{land_force_n: {FIRST_TOUCH_N:g}}}\n")
-        for workcell, how in (
-            (first_touch, f"let go at the first touch ({FIRST_TOUCH_N:g} N)"),
-            (file, "pressed flat before it is let go"),
+        pressed = "pressed flat before it is let go"
+        for name, how, workcell, undented in (
+            ("new", f"another bag every time, {pressed}", file, True),
+            ("pressed", f"one bag throughout, {pressed}", file, False),
+            (
+                "touched",
+                f"one bag throughout, let go at the first touch ({FIRST_TOUCH_N:g} N)",
+                first_touch,
+                False,
+            ),
         ):
-            asked = replace(
-                asked, cell=EvaluateOptions.cell, workcell=workcell, out=options.out / workcell.stem
-            )
+            asked = replace(asked, cell=EvaluateOptions.cell, workcell=workcell, out=options.out / name)
             if not (asked.out / BAGS.log).exists():
                 control.reset(options.seed)
-            evaluate(asked, partial(open_watched, control.address))
+            evaluate(asked, partial(open_watched, control.address, undented))
             truths = {
                 tuple(kept["seen"]): PlanarPose(*kept["true"]) for kept in read_lines(asked.out / TRUTHS)
             }
@@ -132,11 +137,16 @@ def open_worn(options: EvaluateOptions) -> Bench:
     return bench
 
 
-def open_watched(lab_address: str, options: EvaluateOptions) -> Bench:
-    """The workcell in the lab; what is seen is kept beside the truth."""
+def open_watched(lab_address: str, undented: bool, options: EvaluateOptions) -> Bench:
+    """The workcell in the lab; what is seen is kept beside the truth. `undented`: the bag is another every time."""
     bench, control = open_any_bench(options), LabControl(lab_address)
-    find = bench.find
+    find, reset = bench.find, bench.cell.reset
     assert find is not None
+
+    def reset_and_exchange(seed: Sequence[int]) -> None:
+        reset(seed)
+        if undented:
+            control.lay_bag(control.bag_pose(), undented=True)
 
     def find_beside_truth(seen: Observation) -> PlanarPose:
         pose, true = find(seen), control.bag_pose()
@@ -144,6 +154,7 @@ def open_watched(lab_address: str, options: EvaluateOptions) -> Bench:
         append_line(options.out / TRUTHS, kept)
         return pose
 
+    bench.cell.reset = reset_and_exchange  # type: ignore[method-assign]
     return replace(bench, find=find_beside_truth)
 
 

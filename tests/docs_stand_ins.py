@@ -28,7 +28,7 @@ class Numbers:
 
 
 SHORT = Numbers(attempts=8, train=6, val=2, steps=60, episodes=1, rows=2)
-NIGHT = Numbers(attempts=40, train=26, val=8, steps=300, episodes=2, rows=3)
+NIGHT = Numbers(attempts=14, train=10, val=3, steps=300, episodes=2, rows=3)
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ STAND_INS = (
     # The set-up is what the environment of the test is.
     StandIn(r"^make demo\b.*", "python examples/demo.py --attempts 20 --val 4 --steps 80 --episodes 1"),
     StandIn(r"^make test\b.*", "true"),
+    StandIn(r"^source \.venv/bin/activate$", "true"),
     # The lab: as fast as it can, at an address that no other test has.
     StandIn(r"^baggie lab\b", "baggie lab --host {host} --pace 0"),
     StandIn(r"\b127\.0\.0\.1:8090\b", "{lab}"),

@@ -21,7 +21,7 @@ from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.watch import Watch
 from baggie.workcell.workcell import WorkcellSettings
 
-SIZE = (1280, 720)
+SIZE = (640, 360)
 PARKED = ToolPose(0.2, -0.5, 0.4)
 
 

@@ -243,10 +243,14 @@ def test_every_action_of_the_environment_is_reached(
     check_reached(pyramid, action, symmetry)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
+def test_the_environment_passes_gymnasiums_own_check() -> None:
+    check_env(gymnasium.make("baggie/AlignBoxCorner-v0").unwrapped, skip_render_check=True)
+
+
 def test_the_environment_is_gymnasiums() -> None:
     env = gymnasium.make("baggie/AlignBoxCorner-v0", render_mode="rgb_array")
-    check_env(env.unwrapped, skip_render_check=True)
     observation, _ = env.reset(seed=3)
     action = env.unwrapped._workcell.demonstrate()
     observation, reward, terminated, truncated, info = env.step(action.to_array().astype(np.float32))

@@ -101,6 +101,7 @@ def test_pictures_are_taken_after_the_call_however_long_nobody_looked(
         assert server.made_at[number_in(network.look().color)] > called
 
 
+@pytest.mark.slow
 def test_a_network_camera_that_hangs_or_repeats_itself_is_noticed_and_comes_back(
     network: OpenCamera, server: MjpegServer
 ) -> None:

@@ -73,6 +73,7 @@ def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Workcell, error: 
         {**health.STILL, **health.MOVING}[check](sick)
 
 
+@pytest.mark.slow
 def test_a_simulated_workcell_is_healthy() -> None:
     asked: list[str] = []
 

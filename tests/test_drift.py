@@ -161,7 +161,7 @@ def test_aligning_undoes_a_motion(du: float, dv: float) -> None:
     assert np.allclose(found.motion, shifted(du, dv), atol=0.1)
 
 
-@pytest.mark.parametrize("number", [0, 9])
+@pytest.mark.parametrize("number", [0, pytest.param(9, marks=pytest.mark.slow)])
 def test_the_simulated_camera_is_bumped(number: int) -> None:
     """Ordinary pictures are below the alarm, a turn of a tenth of a degree is above; 9 has the plainest grain."""
     cell = SimulatedWorkcell(number)

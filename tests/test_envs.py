@@ -105,6 +105,12 @@ def test_an_action_of_another_shape_is_one_line(action: object) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("cell", [-1, 1.5, "sim"])
+def test_a_cell_that_is_none_is_one_line(cell: object) -> None:
+    with pytest.raises(BaggieError, match=r"expected the number of a cell, .*; take 0"):
+        gymnasium.make("baggie/BagPlace-v0", cell=cell)
+
+
 def test_an_action_that_is_no_number_moves_nothing() -> None:
     env = gymnasium.make("baggie/BagPlace-v0", disable_env_checker=True)
     env.reset(seed=0)

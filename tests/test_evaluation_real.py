@@ -69,6 +69,11 @@ def options(tmp_path, **asked):
     return EvaluateOptions(policy="color-mask", out=tmp_path, workcell=FILE, episodes=4, **asked)
 
 
+@pytest.fixture(autouse=True)
+def here(in_process):  # noqa: F811 -- a fixture
+    """No process of its own: there is one arm."""
+
+
 @pytest.fixture
 def cell():
     return calibrated(RealFake(size=(640, 360)))
@@ -131,7 +136,7 @@ def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
     assert "truth" not in text
 
 
-def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path):
     run = tmp_path / "run"
     evaluate(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
     evaluate(simulated.options(run / "simulated", policy="color-mask", film=0), simulated.open_off_by_25_mm)
@@ -165,7 +170,7 @@ def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
         evaluate(options(tmp_path), functools.partial(bench, cell))
     assert "\n" not in str(raised.value)
     assert len(read_log(tmp_path / "episodes.jsonl", Episode)) == 1
-    cell.script = []  # a person has put it back
+    cell.script, cell.hidden = [], False  # a person has put it back
     assert evaluate(options(tmp_path), functools.partial(bench, cell))["success"]["n"] == 4
 
 

@@ -142,8 +142,9 @@ def test_an_exported_keypoint_reads_as_pytorch_does(keypoint, exported):
     assert symmetries == {0, 2, 4}, "pictures in which a thing is long, square and neither"
 
 
-def test_another_backbone_and_painted_goals_are_exported_too(tmp_path):
-    policy = make_keypoint("resnet18", GoalInput("painted", "outline", (0, 0, 255)))
+@pytest.mark.parametrize("backbone", ["small", pytest.param("resnet18", marks=pytest.mark.slow)])
+def test_painted_goals_and_another_backbone_are_exported_too(tmp_path, backbone):
+    policy = make_keypoint(backbone, GoalInput("painted", "outline", (0, 0, 255)))
     export.export_policy(policy, tmp_path)
     loaded = load_policy(tmp_path)
     assert isinstance(loaded, ExportedKeypoint)

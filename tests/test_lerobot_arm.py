@@ -159,12 +159,16 @@ def test_a_yaw_is_a_yaw_however_often_it_goes_round(start: float, end: float) ->
     for yaw in (start, end):
         before, here = len(robot.sent), arm.pose().yaw
         try:
+            foreseen = arm.foresee([replace(HIGH, yaw=yaw)])
+            assert len(robot.sent) == before
             reached = arm.move_to(replace(HIGH, yaw=yaw), 1.0)
         except ReachError:  # neither way round keeps to the line
             assert len(robot.sent) == before
             assert max(abs(wrap_angle(here)), abs(wrap_angle(yaw))) > 1.0
         else:
             assert abs(wrap_angle(reached.yaw - yaw)) < 0.02
+            shorter = abs(wrap_angle(yaw - here))
+            assert min(abs(foreseen - shorter), abs(foreseen - 2 * np.pi + shorter)) < 0.02
 
 
 @pytest.mark.parametrize("target", [ToolPose(1.1, 0.0, 0.2), ToolPose(0.05, 0.0, 0.02)])

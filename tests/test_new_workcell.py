@@ -174,6 +174,8 @@ def test_a_recording_to_replay_has_to_be_there_and_needs_neither_camera_nor_bag(
         (["franka", "", "panda"], "nan"),
         (["sim"], "3.5"),
         (["sim", "0"], "0.3 inf"),
+        (["sim", "0"], "350 650"),  # millimetres
+        (["lerobot", "", "", "", "", "", ""], "120"),
         (["sim", "0", "0.3 0.6", ""], "0.5 0.5"),  # no bag is as large
         (["sim", "0", "0.3 0.6", ""], "0.1"),
         (["sim", "0", "0.3 0.6", "", ""], "1 2 256"),
@@ -199,7 +201,7 @@ def test_a_wrong_answer_is_asked_again_with_what_is_expected(tmp_path: Path) -> 
     assert (written.arm, written.cell) == (SimulatedEntry(), 7)
     assert "'robot' will not do (expected franka, lerobot, python, replay or sim)" in asked[1]
     assert "'-3' will not do (Input should be greater than or equal to 0)" in asked[3]
-    assert "expected the lower one first" in asked[6]
+    assert "(expected the lower bound first, got 0.6 and 0.4)" in asked[6]
 
 
 def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:

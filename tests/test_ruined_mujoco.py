@@ -10,10 +10,15 @@ import sysconfig
 from importlib.metadata import version
 from pathlib import Path
 
+import mujoco
 import pytest
 
 import baggie
+from baggie.errors import BaggieError
 from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.sim.bag import BagParameters
+from baggie.sim.cell import draw_cell
+from baggie.sim.scene import arm_spec, build_model
 from synthetic import RED, image_to_robot
 from test_evaluation_validate import SIZE, record
 
@@ -89,6 +94,15 @@ def test_without_mujoco_whatever_needs_no_simulator_works(tmp_path: Path) -> Non
     told = told_by(sys.executable, QUICK + SIMULATING, tmp_path, ruined.parent)
     assert [status for status, _ in told[: len(QUICK)]] == [0] * len(QUICK), told
     expect_one_line(told[len(QUICK) :])
+
+
+def test_an_older_mujoco_is_told_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco, "__version__", "3.17.0")
+    for model in (arm_spec, lambda: build_model(draw_cell(0), BagParameters())):
+        with pytest.raises(
+            BaggieError, match=r"MuJoCo 4 is needed, and 3\.17\.0 is installed here.* of its own"
+        ):
+            model()
 
 
 @pytest.mark.slow

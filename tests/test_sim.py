@@ -1,14 +1,15 @@
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
 import cv2
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import strategies as st
 
+import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
 from baggie.sim.bag import BagParameters, pillow
@@ -131,7 +132,7 @@ def test_a_place_that_no_turn_of_the_wrist_reaches_is_refused_before_the_pick(
 
 def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: SimulatedWorkcell) -> None:
     ways = []
-    for pick_turn, place_yaw in ((0.0, 0.0), (np.pi, 2 * np.pi), (np.pi / 2, -1e6 * np.pi)):
+    for pick_turn, place_yaw in ((0.0, 0.0), (np.pi, 2 * np.pi), (np.pi / 2, -4 * np.pi)):
         cell.reset((12,))
         start = cell.truth()
         goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15, place_yaw)
@@ -287,7 +288,7 @@ def test_inverse_kinematics_inverts_forward_kinematics() -> None:
             assert np.linalg.norm(along - (along @ direction) * direction) < 0.003
 
 
-@given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-(10**8), 10**8))
+@given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-20, 20))
 def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     x: float, y: float, yaw: float, turns: int
 ) -> None:
@@ -305,6 +306,11 @@ def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     if abs(kinematics.turn(path) - shorter) > 0.01:
         wrist = start[6] - shorter  # roughly: the base turns, too
         assert not low[6] + 0.7 < wrist < high[6] - 0.7
+
+
+def test_a_line_to_a_huge_yaw_is_no_longer_than_others() -> None:
+    path = Kinematics(arm_spec().compile(), HOME).line(HOME, ToolPose(0.5, 0.0, 0.2, 1e12))
+    assert len(path) < 100
 
 
 def test_what_is_out_of_reach_is_said_so() -> None:
@@ -332,12 +338,6 @@ def test_without_an_opengl_library_one_line_says_what_to_install(monkeypatch: py
         gl.require_backend()
 
 
+@pytest.mark.filterwarnings("ignore")
 def test_the_environment_passes_gymnasiums_own_check() -> None:
-    script = (
-        "import baggie, gymnasium, warnings; warnings.simplefilter('ignore');"
-        "from gymnasium.utils.env_checker import check_env;"
-        "env = gymnasium.make('baggie/BagPlace-v0');"
-        "check_env(env.unwrapped, skip_render_check=True)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    check_env(gymnasium.make("baggie/BagPlace-v0").unwrapped, skip_render_check=True)

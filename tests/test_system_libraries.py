@@ -275,3 +275,27 @@ def test_a_package_without_its_library_is_told_by_the_library(
 
 def test_any_other_import_that_fails_stays_a_fault() -> None:
     assert explained(ImportError("cannot import name 'x' from 'y'", name="y")) is None
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_test_without_its_library_says_why_and_fails_only_where_everything_can_be(
+    checked: bool, tmp_path: Path
+) -> None:
+    for package in ("pyrealsense2", "pyk4a"):
+        (tmp_path / f"{package}.py").write_text(
+            "raise ImportError('libusb-1.0.so.0: cannot open shared object file')"
+        )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, SOURCE)))}
+    environment["CI"] = "true" if checked else ""
+    files = ["tests/test_camera_realsense.py", "tests/test_camera_k4a.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'base'}", *files],
+        cwd=SOURCE.parent, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "2 skipped" in done.stdout
+    assert "sudo apt-get install libusb-1.0-0" in done.stdout
+    assert "Azure Kinect Sensor SDK" in done.stdout
+    complaint = "skipped, though everything can be here: tests/test_camera_realsense.py"
+    assert (complaint in done.stdout) == checked
+    assert "though everything can be here: tests/test_camera_k4a.py" not in done.stdout
+    assert (done.returncode == pytest.ExitCode.TESTS_FAILED) == checked

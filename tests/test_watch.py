@@ -82,7 +82,7 @@ def test_a_blank_table_gives_no_false_alarm() -> None:
 class BumpedCamera(FakeCamera):
     """A table with a pattern, seen by a camera that moves a little after a number of pictures."""
 
-    after = 40
+    after = 16
 
     def look(self):
         seen = super().look()

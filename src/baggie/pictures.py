@@ -85,8 +85,9 @@ def _array(picture: Any) -> NDArray[Any]:
             return np.asarray(picture).astype(np.uint16)
         return np.asarray(picture.convert("RGB"))
     except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that wants a gradient
+        reason = " ".join(str(error).split())
         raise BaggieError(
-            f"expected a picture as an array of shape (H, W, 3), got {_described(picture)}: {error}"
+            f"expected a picture as an array of shape (H, W, 3), got {_described(picture)}: {reason}"
         ) from None
 
 
@@ -103,9 +104,9 @@ def _opaque(array: NDArray[Any]) -> NDArray[Any]:
 
 def _in_8_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     """The same picture in uint8."""
-    if array.dtype == np.uint16:
-        return (array >> 8).astype(np.uint8)
     kind = array.dtype.kind
+    if kind == "u" and array.dtype.itemsize == 2:
+        return (array >> 8).astype(np.uint8)
     if kind not in "buif":
         raise BaggieError(f"expected a picture of numbers, got an array of {array.dtype}")
     brightest, spare = (1, _ROUNDED) if kind in "bf" else (255, 0.0)

@@ -80,7 +80,7 @@ def _lerobot(questions: Questions, _folder: Path) -> NewArm:
     turn = spaced(_SO101_TOOL_RPY if small else fields["tool_rpy_deg"].default)
     arm["tool_rpy_deg"] = questions.ask(words, turn, several(number, 3))
     words = "how high above the table it stands, in metres"
-    arm["base_z_m"] = questions.ask(words, "0", number)
+    arm["base_z_m"] = questions.ask(words, "0", entry(LeRobotEntry, "base_z_m"))
     names = tuple(joint.name for joint in fields["joints"].default)
     arm["joints"] = questions.ask("its joints, from base to wrist", spaced(names), several(word))
     words = "their positions, in degrees or normalized to -100 to 100"

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError, create_model
 from rich.console import Console
 
 from baggie.errors import BaggieError
+from baggie.workcell.workcell_file import Bounds
 
 Answer = TypeVar("Answer")
 Parse = Callable[[str], Answer]
@@ -64,9 +65,13 @@ def entry(model: type[BaseModel], name: str) -> Parse[Any]:
         try:
             return alone.model_validate({"answer": answer}).model_dump(mode="json")["answer"]
         except ValidationError as error:
-            raise ValueError(error.errors()[0]["msg"]) from None
+            raise _in_words(error) from None
 
     return parse
+
+
+def _in_words(error: ValidationError) -> ValueError:
+    return ValueError(error.errors()[0]["msg"].removeprefix("Value error, "))
 
 
 def word(answer: str) -> str:
@@ -97,11 +102,12 @@ def several(parse: Parse[Answer], count: int | None = None) -> Parse[list[Answer
 
 
 def bounds(answer: str) -> list[float]:
-    """Two numbers, the lower one first."""
+    """Two numbers, the lower one first: what a workspace's bounds may be."""
     low, high = several(number, 2)(answer)
-    if not low < high:
-        raise ValueError("expected the lower one first")
-    return [low, high]
+    try:
+        return list(Bounds(x=(low, high)).x)
+    except ValidationError as error:
+        raise _in_words(error) from None
 
 
 def color(answer: str) -> list[int]:

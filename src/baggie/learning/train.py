@@ -161,10 +161,9 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     path = options.out / checkpoint.CONFIG
     if path.exists():
         found, asked = checkpoint.read_config(options.out), policy.config()
-        # An older version did not write either down: its run was taught the task of its data, too.
-        found["training"] = {"task": policy.training["task"], **found.get("training", {})}
-        if "labels" not in found["training"]:
-            del asked["training"]["labels"]
+        # An older version wrote neither down: its run is taken for one of this task and these attempts.
+        unsaid = {name: asked["training"][name] for name in ("task", "labels")}
+        found["training"] = unsaid | found.get("training", {})
         if found != asked:
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, invert_transform
 from baggie.sim.lens import Lens
 
@@ -60,7 +61,9 @@ class Cell:
 
 
 def draw_cell(number: int) -> Cell:
-    """The cell with this number: always the same one."""
+    """The cell with this number: always the same one. Raises `BaggieError` for a number below 0, or for none."""
+    if not isinstance(number, int | np.integer) or number < 0:
+        raise BaggieError(f"expected the number of a cell, a whole one from 0 on, got {number!r}; take 0")
     rng = np.random.default_rng([0xCE11, number])
     position = np.array([rng.uniform(0.54, 0.66), rng.uniform(-0.12, 0.12), rng.uniform(0.76, 0.86)])
     aim = np.array([0.52 + rng.uniform(-0.03, 0.03), rng.uniform(-0.04, 0.04), 0.0])

@@ -11,6 +11,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
 from baggie.sim.cell import Cell
@@ -29,6 +30,7 @@ from baggie.sim.textures import cloth, table_top
 from baggie.types import Image
 from baggie.vision.goal_card import CARD_COLOR
 
+_MUJOCO = 4  # the first with soft bodies that take dents
 TIMESTEP_S = 0.004  # 8 ms halve the time and lose a quarter of the grasps
 TOOL_OFFSET_M = (
     0.1034  # from the hand's frame to the point between the fingertips (Franka's hand, data sheet)
@@ -112,6 +114,7 @@ def scene_spec(cell: Cell, assets: str, things: str, tool: Tool = "hand") -> muj
 
     The arm's names have the prefix `ARM`. `assets`: the textures and materials (XML) of the things.
     """
+    _require_mujoco()
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
@@ -151,6 +154,15 @@ def paint_table(model: mujoco.MjModel, cell: Cell) -> np.random.Generator:
     return rng
 
 
+def _require_mujoco() -> None:
+    """Raise `BaggieError` where something else has had an older one installed."""
+    if int(mujoco.__version__.split(".")[0]) < _MUJOCO:
+        raise BaggieError(
+            f"MuJoCo {_MUJOCO} is needed, and {mujoco.__version__} is installed here, which something else may need: "
+            "give Baggie an environment of its own (python3 -m venv)"
+        )
+
+
 def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
     """The FR3 as `franky-sim` ships it, with its hand or a suction cup, with what a real one has besides.
 
@@ -158,6 +170,7 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
     can hold out in front of the tool, hidden until asked for: the calibration paddle (a coloured disk) and a printed
     plate. The tool site is between the fingertips or at the middle of the cup's rim, z out of the tool.
     """
+    _require_mujoco()
     assets = Path(str(files("franky_sim"))) / "assets"
     spec = mujoco.MjSpec.from_file(str(assets / "fr3.xml"))
     spec.meshdir = str(assets / "meshes")

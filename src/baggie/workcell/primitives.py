@@ -119,9 +119,8 @@ def least_turn(arm: GuardedArm, action: PickPlace, handling: Handling, symmetry:
         if _shortest_turn(saying, here) >= least:
             break
         try:
-            turned = arm.foresee(
-                rehearse(arm, saying, handling)
-            )  # more where the wrist has to go the longer way
+            # More than the shortest where the wrist has to go the longer way.
+            turned = arm.foresee(rehearse(arm, saying, handling))
         except ReachError as error:
             unreachable = unreachable or error
             continue
@@ -170,7 +169,7 @@ def rehearse(arm: GuardedArm, action: PickPlace, handling: Handling) -> list[Too
     gate = GuardedArm(paper, arm.limits)
     pick(gate, action.pick, handling)
     place(gate, action.place, handling)
-    return paper.way
+    return paper.way[1:]
 
 
 class _PaperArm:
