@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
-from baggie.errors import BaggieError, LimitError, ReachError
+from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
 from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import draw_cell

@@ -348,7 +348,7 @@ def test_unfit_demonstrations_are_one_clear_line():
         ({"new_looks": 0.5}, "--new-looks with --policy transporter"),
         ({"policy": "keypoint", "symmetry": 4}, "--symmetry with --policy keypoint"),
         ({"policy": "regression", "preset": "paper"}, "--preset with --policy regression"),
-        ({"symmetry": -2}, "expected symmetries of 0"),
+        ({"symmetry": -2}, "expected --symmetry to be a number from 0"),
     ],
 )
 def test_options_that_do_not_go_together_are_one_clear_line(tmp_path, changes, message):

@@ -79,7 +79,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         lab, camera = self.server.lab, self.server.camera
         asked = urlsplit(self.path)
-        words = dict(parse_qsl(asked.query))
+        words = dict(parse_qsl(asked.query, keep_blank_values=True))
         try:
             match asked.path:
                 case "/reset":

@@ -166,10 +166,9 @@ class Workcell:
     def _holds(self) -> bool:
         """Whether the hand seems to hold something: it is neither shut nor as wide as where it lets go."""
         h, width = self.settings.handling, self.arm.gripper_width()
-        has_fingers = (
-            h.release_width_m > h.empty_width_m
-        )  # a suction cup has not, and is wide only while it holds
-        return h.empty_width_m < width and not (has_fingers and width >= h.release_width_m - _SAME_WIDTH_M)
+        if h.release_width_m > h.empty_width_m:
+            return h.empty_width_m < width < h.release_width_m - _SAME_WIDTH_M
+        return h.empty_width_m < width  # of a suction cup, which is as wide as that only while it holds
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""
