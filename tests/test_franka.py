@@ -103,6 +103,13 @@ def test_it_keeps_the_contract_of_arms(arm: FrankaArm) -> None:
     check_arm(GuardedArm(arm, LIMITS), speed_m_s=1.2)
 
 
+def test_connecting_leaves_the_priority_of_who_connects_as_it_was(arm: FrankaArm) -> None:
+    had = os.sched_getscheduler(0)
+    arm.close()
+    arm.pose()
+    assert os.sched_getscheduler(0) == had
+
+
 def test_what_it_commands_is_what_it_measures(arm: FrankaArm) -> None:
     arm.move_to(HIGH, 1.2)
     commanded = np.asarray(arm._link.robot.state.O_T_EE_d.matrix)
@@ -228,8 +235,13 @@ def test_another_end_effector_is_refused(arm: FrankaArm, server: Server) -> None
 
 
 def set_end_effector(server: Server, T_nominal_tool: FloatArray) -> None:
-    robot = franky.Robot(server.host, realtime_config=franky.RealtimeConfig.Ignore)
-    robot.set_ee(T_nominal_tool.T.ravel())
+    def connect_and_set() -> None:
+        robot = franky.Robot(server.host, realtime_config=franky.RealtimeConfig.Ignore)
+        robot.set_ee(T_nominal_tool.T.ravel())
+
+    thread = threading.Thread(target=connect_and_set)  # which connecting gives a real-time priority for good
+    thread.start()
+    thread.join()
 
 
 def test_a_server_that_goes_away_is_a_clear_error_and_comes_back_gently(

@@ -236,7 +236,11 @@ def _mismatch(host: str, message: str) -> str:
 
 
 def _within(seconds: float, call: Callable[[], Any]) -> Any:
-    """What a call returns or raises, or `TimeoutError`; the call is left to itself then."""
+    """What a call returns or raises, or `TimeoutError`; the call is left to itself then.
+
+    In a thread of its own, which then ends, for another reason, too: libfranka raises whoever connects to the highest
+    real-time priority it can get, whether or not that was asked for, and threads and processes begun later inherit it.
+    """
     answer: list[Any] = []
     failure: list[BaseException] = []
 
