@@ -153,12 +153,13 @@ def test_bad_input_is_refused_in_one_line() -> None:
 @given(du=st.floats(-3, 3), dv=st.floats(-3, 3))
 @few
 def test_aligning_undoes_a_motion(du: float, dv: float) -> None:
-    """Without noise, to less than a tenth of a pixel."""
+    """Without noise, to less than a tenth of a pixel where there is something to see."""
     still = relief(cv2.GaussianBlur(TABLE, (0, 0), 4), 400)
     moved = cv2.warpPerspective(still, shifted(du, dv), still.shape[::-1], flags=cv2.INTER_CUBIC)
-    found = Template(still).align(moved)
+    template = Template(still)
+    found = template.align(moved)
     assert np.median(found.correlation) > 0.99
-    assert np.allclose(found.motion, shifted(du, dv), atol=0.1)
+    assert np.median(template.moved_px(np.linalg.inv(shifted(du, dv)) @ found.motion)) < 0.1
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(9, marks=pytest.mark.slow)])

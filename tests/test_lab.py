@@ -159,12 +159,12 @@ def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: Workcell, c
     np.testing.assert_allclose(ways, np.tile(ways[0], (3, 1)), atol=0.01)
 
 
-@pytest.mark.slow
 def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell, control: LabControl) -> None:
     cell.arm.move_to(HERE.at_height(0.15), FAST_M_S)
     assert control.truth()["tool"] == pytest.approx({"x": HERE.x, "y": HERE.y, "z": 0.15}, abs=0.003)
     cell.arm.move_gripper(0.0)
-    assert 0.02 < cell.arm.lower_until_contact(0.012, 0.1, 3.0).z < 0.05
+    # The bag is 3 cm high and soft; the force is a median, 30 ms and so 3 mm late.
+    assert 0.016 < cell.arm.lower_until_contact(0.012, 0.1, 3.0).z < 0.05
     cell.arm.move_to(HERE.at_height(0.15), FAST_M_S)
     cell.arm.move_to(ToolPose(0.5, 0.2, 0.15), FAST_M_S)
     assert cell.arm.lower_until_contact(0.012, 0.1, 3.0).z == pytest.approx(0.012, abs=0.003)
