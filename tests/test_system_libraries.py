@@ -286,7 +286,7 @@ def test_a_test_without_its_library_says_why_and_fails_only_where_everything_can
             "raise ImportError('libusb-1.0.so.0: cannot open shared object file')"
         )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, SOURCE)))}
-    environment["CI"] = "true" if checked else ""
+    environment["NO_SKIPS"] = "yes" if checked else ""
     files = ["tests/test_camera_realsense.py", "tests/test_camera_k4a.py"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'base'}", *files],
