@@ -36,8 +36,8 @@ class Options:
     """What the policy's camera sees; the last picture of the demo's recording unless given."""
     goal: tuple[float, float] | None = None
     """The goal's middle, pixels (u, v) of the picture; the picture's middle unless given."""
-    side: float = 40.0
-    """The goal's side, pixels."""
+    side: float | None = None
+    """The goal's side, pixels: as long as the bag's looks. A sixteenth of the picture's width unless given."""
     out: Path = Path("plan.png")
     """Where to draw the plan."""
 
@@ -48,6 +48,8 @@ def main(options: Options) -> int:
         return failed(
             f"no run in {options.policy}: `make demo` makes one, or give --policy RUN --picture FILE"
         )
+    if options.picture is None and not (DEMO / "recording").is_dir():
+        return failed("no picture: give --picture FILE, one of the policy's camera")
     try:
         picture = the_picture(options.picture)
         height, width = picture.shape[:2]
@@ -56,7 +58,7 @@ def main(options: Options) -> int:
         # The five lines.
         policy = Policy.from_pretrained(options.policy)
         observation = Observation(picture)
-        goal = Goal(square(goal_at, options.side))
+        goal = Goal(square(goal_at, options.side or width / 16))
         plan = policy.plan(observation, goal)
         print(plan.action)
 

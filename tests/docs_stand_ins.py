@@ -74,7 +74,12 @@ STAND_INS = (
     StandIn(r"^(baggie evaluate .*)", r"\1 --episodes {episodes}"),
     StandIn(r"\b(attempts|episodes)=\d+", r"\1=1"),
     # A recorded picture is half as large as one that is just being taken.
-    StandIn(r"Goal\(corners\)", "Goal(2 * corners)", "README"),
+    StandIn(
+        r"^corners = \[\[.*",
+        "from baggie.data.annotation import goal_of; "
+        "corners = 2 * goal_of(baggie.open_dataset('recordings/bags')[0]).corners",
+        "README",
+    ),
     # What somebody else has: a recording, a trained policy.
     StandIn(r"--from recording\b", "--from hand-eye"),
     StandIn(r'"RUN"', '"runs/pyramid"'),

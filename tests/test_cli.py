@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from baggie.cli import VERBS, main
+from baggie.cli_output import show
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -69,3 +70,9 @@ def test_json_is_one_object_on_stdout(tmp_path: Path, capfd: pytest.CaptureFixtu
         pass
     assert main(["inspect", str(tmp_path / "data"), "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["attempts"] == 0
+
+
+def test_where_nothing_failed_it_says_none(capsys: pytest.CaptureFixture[str]) -> None:
+    show({"succeeded": 12, "failed": {}, "doubtful": [], "labels": {"pick_within": {"rate": 1.0}}}, False)
+    lines = ["succeeded: 12", "failed: none", "doubtful: none", "labels:", "  pick within: rate 1", ""]
+    assert capsys.readouterr().out.split("\n") == lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,7 +19,11 @@ from baggie.cli import main
 from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.bench import open_bench
 from baggie.commissioning.check import CheckOptions, check_live
-from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot_live
+from baggie.commissioning.image_to_robot import (
+    ImageToRobotOptions,
+    calibrate_image_to_robot_live,
+    check_command,
+)
 from baggie.commissioning.points import grid, marker_finder, parse_marker, visit
 from baggie.commissioning.printed import BOARD, HAND_MARKER, NAMED
 from baggie.commissioning.view_folder import ViewFolder
@@ -202,6 +207,16 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path, monkeypatch: pytest.
     assert after[:2] == before
     assert [view["point"] for view in after] == list(range(12))
     assert len(fitted.residuals.points) == 12
+
+
+def test_the_check_that_is_named_next_is_of_the_same_workcell_and_marker() -> None:
+    plain = ImageToRobotOptions(out=Path("map.yaml"))
+    assert check_command(plain) == "baggie calibrate check --map map.yaml"
+    assert check_command(replace(plain, cell=7)) == "baggie calibrate check --cell 7 --map map.yaml"
+    lab = replace(plain, workcell="lab.yaml", marker="color:217,13,191", marker_in_hand=(0.09, 0.0, 0.0))
+    assert check_command(lab) == (
+        "baggie calibrate check --workcell lab.yaml --map map.yaml --marker color:217,13,191 --marker-in-hand 0.09 0 0"
+    )
 
 
 # -- folders ---------------------------------------------------------------------------------------

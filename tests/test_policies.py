@@ -220,8 +220,12 @@ def test_pictures_of_another_shape_are_refused(attempt, keypoint):
 
 def test_goal_where_no_attempt_was_is_refused(attempt, keypoint):
     far = replace(goal_of(attempt), corners=np.array([[5.0, 5], [35, 5], [35, 35], [5, 35]]))
-    with pytest.raises(BaggieError, match="outside of what the training attempts covered"):
+    with pytest.raises(BaggieError, match=r"at \(20, 20\) is outside of what the training attempts covered"):
         keypoint.plan(attempt.before, far)
+    width, height = attempt.before.size
+    large = attempt.before.resized(2 * width, 2 * height)
+    with pytest.raises(BaggieError, match=rf"at \(4[01], 4[01]\) .* of {2 * width} x {2 * height} pixels"):
+        keypoint.plan(large, far.scaled(2, 2))
 
 
 def test_goals_drawing_is_the_policys_own_business(attempt, keypoint, regression):

@@ -105,6 +105,8 @@ def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
     assert "0 of 5 (0 to 43%)" in words  # the baseline's
     assert "0.50 cm" in words  # the pick error of the fake policy
     assert "off-goal" in words
+    assert "From each true place" in words
+    assert "val: attempts that were held out" in words
     assert len(re.findall(r"<svg", text)) == 2 + 4 + 1
     assert not re.findall(r"#0[0-9a-f]{5}\b", text)  # every colour of a chart is the page's
 
@@ -126,6 +128,16 @@ def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):
     page = Page(report(ReportOptions((runs / "baseline",), tmp_path / "report.html")).read_text())
     assert "closed-loop" in page.ids
     assert not {"validation", "learning", "video"} & set(page.ids)
+
+
+def test_where_nobody_knows_the_truth_arrows_begin_at_what_was_recorded(tmp_path, runs):
+    path = runs / "keypoint/validation/metrics.json"
+    metrics = json.loads(path.read_text())
+    del metrics["truth"]
+    write_json(path, metrics)
+    words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
+    assert "From each recorded place" in words
+    assert "From each true place" not in words
 
 
 def test_two_runs_of_one_policy_are_told_apart(tmp_path, runs):

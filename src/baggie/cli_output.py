@@ -31,7 +31,7 @@ def _words(value: Any, digits: int = 3) -> str:
     if isinstance(value, float):
         return f"{value:.{digits}g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_words(inner, digits)}" for key, inner in value.items())
+        return ", ".join(f"{key} {_words(inner, digits)}" for key, inner in value.items()) or "none"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_words(inner, 5) for inner in value) + "]" if value else "none"
     return str(value)

@@ -46,7 +46,7 @@ class BumpedError(BaggieError):
 
 
 class UnsureError(BaggieError):
-    """A plan is less sure than the workcell asks for; nothing has moved, and a person is asked."""
+    """A plan is less sure than the workcell asks for; nothing has moved."""
 
 
 class BaggieWarning(UserWarning):

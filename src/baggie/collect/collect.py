@@ -102,7 +102,10 @@ def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) 
 
     folder = options.out / CALIBRATION_FOLDER
     if not (folder / CONFIG_FILE).exists():
-        with console.status("calibrating the picture to the robot"), closing(open_cell(options.cell)) as cell:
+        with (
+            console.status("getting the map from the picture to the robot"),
+            closing(open_cell(options.cell)) as cell,
+        ):
             calibrate_into(folder, cell, options.seed, options.watched)
     image_to_robot = ColorMaskPolicy.load(folder).image_to_robot
     residuals = image_to_robot.residuals

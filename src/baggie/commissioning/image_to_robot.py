@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -76,8 +77,23 @@ def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:
         "calibration": str(options.out),
         **({"picture": str(picture)} if drawn else {}),
         **result.summary(),
-        "next": f"baggie calibrate check --map {options.out}",
+        "next": check_command(options),
     }
+
+
+def check_command(options: ImageToRobotOptions) -> str:
+    """The command that checks the map in the same workcell, with the same marker in the hand."""
+    words = ["baggie", "calibrate", "check"]
+    if options.workcell != ImageToRobotOptions.workcell:
+        words += ["--workcell", options.workcell]
+    elif options.cell != ImageToRobotOptions.cell:
+        words += ["--cell", str(options.cell)]
+    words += ["--map", str(options.out)]
+    if options.marker != ImageToRobotOptions.marker:
+        words += ["--marker", options.marker]
+    if options.marker_in_hand != ImageToRobotOptions.marker_in_hand:
+        words += ["--marker-in-hand", *(f"{metres:g}" for metres in options.marker_in_hand)]
+    return shlex.join(words)
 
 
 def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) -> ImageToRobot:

@@ -87,6 +87,7 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
     if not validations:
         return None
     first = next((v for v in validations if v.policy == main), validations[0])
+    of = "true" if first.reference == "truth" else "recorded"
     vectors = []
     for what in ("pick", "place"):
         true, predicted = first.positions(what)
@@ -94,7 +95,7 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
         large = float(np.percentile(np.linalg.norm(predicted - true, axis=1), 90))
         magnify = float(np.clip(round(0.05 / max(large, 1e-4)), 1, 50))
         svg = figures.error_vectors(true, predicted, colors[first.policy], magnify)
-        note = f"From each true place (dot) towards the predicted one; arrows are {magnify:g} times too long."
+        note = f"From each {of} place (dot) towards the predicted one; arrows are {magnify:g} times too long."
         vectors.append(figure(f"{what.capitalize()} errors over the workspace, {first.policy}", svg, note))
     spread = [
         figure(
@@ -148,6 +149,10 @@ def _heat(results: Results, main: str) -> list[Content]:
 
 _CURVES = {"_cm": "errors (cm)", "_deg": "yaw errors (degrees)", "": "loss and its parts"}
 """Training curves that share a chart, by the unit their tags end in."""
+_CURVES_ARE = (
+    "train: each batch as it was learned from, its pictures mostly changed on purpose, so it is rough and may "
+    "stay above; val: attempts that were held out, as they were recorded."
+)
 
 
 def _learning(trainings: Sequence[Training]) -> Content | None:
@@ -164,7 +169,8 @@ def _learning(trainings: Sequence[Training]) -> Content | None:
     if not charts:
         return None
     times = [f"{t.policy} in {duration(t.metrics['train_s'])}" for t in trainings if "train_s" in t.metrics]
-    return {"about": f"Trained {', '.join(times)}." if times else "Curves by step.", "figures": charts}
+    about = f"Trained {', '.join(times)}." if times else "Curves by step."
+    return {"about": f"{about} {_CURVES_ARE}", "figures": charts}
 
 
 def _origins(results: Results) -> list[Content]:

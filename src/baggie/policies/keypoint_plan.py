@@ -15,7 +15,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
 from baggie.policies.as_trained import as_trained
 from baggie.policies.view import View
-from baggie.types import DrawnStyle, Goal, Image, Observation, PickPlace, Plan
+from baggie.types import DrawnStyle, Goal, Image, Observation, PickPlace, Plan, seen
 from baggie.vision.draw import paint_goal, region_mask, without_card
 
 Float32 = NDArray[np.float32]
@@ -113,11 +113,12 @@ def plan(read: Read, view: View, goal_input: GoalInput, observation: Observation
     the smaller of the two. Raises `BaggieError` when no bag is in sight, or when the goal, or what is pointed at, lies
     outside the part of the picture in which the training attempts took place.
     """
+    size = seen(observation).size
     picture, goal = as_trained(observation, goal, view.picture)
-    _check_view(view, goal.corners, "the goal")
+    _check_view(view, goal.corners, "the goal", size)
     near = _ANYWHERE
     if goal.object_at is not None:
-        _check_view(view, np.array([goal.object_at]), "the object pointed at")
+        _check_view(view, np.array([goal.object_at]), "the object pointed at", size)
         cell = apply_homography(np.linalg.inv(view.from_input() @ CELLS_TO_INPUT), [goal.object_at])[0]
         near = np.array([*cell, _POINTED_CELLS], np.float32)
     image = goal_input.network_input(view.cut(picture), view.goal_to_input(goal))
@@ -156,12 +157,14 @@ def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
     return yaw + turn * round((pick_yaw - yaw) / turn)
 
 
-def _check_view(view: View, points: FloatArray, what: str) -> None:
+def _check_view(view: View, points: FloatArray, what: str, size: tuple[int, int]) -> None:
+    """Raises `BaggieError`, in pixels of the picture that was given, which may be larger than those of the training."""
     if not view.contains(points):
-        u, v = points.mean(axis=0)
+        pixels = np.array([points.mean(axis=0), (view.left, view.top), (view.right, view.bottom)])
+        (u, v), (left, top), (right, bottom) = (pixels + 0.5) * np.array(size) / view.picture - 0.5
         raise BaggieError(
-            f"{what} at ({u:.0f}, {v:.0f}) is outside of what the training attempts covered, u {view.left}.."
-            f"{view.right} and v {view.top}..{view.bottom} of {view.picture[0]} x {view.picture[1]} pixels: "
+            f"{what} at ({u:.0f}, {v:.0f}) is outside of what the training attempts covered, u {left:.0f}.."
+            f"{right:.0f} and v {top:.0f}..{bottom:.0f} of {size[0]} x {size[1]} pixels: "
             "choose one nearer to the workspace's middle, or collect there"
         )
 

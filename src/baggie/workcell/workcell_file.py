@@ -159,7 +159,7 @@ class WorkcellFile(Section):
     bag: Bag = Bag()
     calibrations: CalibrationFiles = CalibrationFiles()
     sure_within_m: float = Field(WorkcellSettings().sure_within_m, gt=0)
-    """A person is asked when a plan's pick or place is not known within this, nine times of ten."""
+    """Nothing moves when a plan's pick or place is not known within this, nine times of ten."""
 
     @model_validator(mode="after")
     def _handled_within_limits(self) -> WorkcellFile:
