@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from baggie.errors import BaggieError
-from baggie.ranges import Color
+from baggie.ranges import Color, Seed
 from baggie.text_files import parse_yaml, read_text
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.entries import Metres, Section, Words
@@ -27,6 +27,8 @@ from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell import WorkcellSettings
 
 _LIMITS = WorkcellSettings().limits
+_WIDEST_M = 0.5
+"""No two fingers open further."""
 
 
 class SimulatedEntry(Section):
@@ -150,7 +152,7 @@ class WorkcellFile(Section):
     arm: ArmEntry = SimulatedEntry()
     camera: CameraEntry | None = None
     """Of a real arm, and of no other: a number, a device, an address or a kind, or a section."""
-    cell: int = Field(0, ge=0)
+    cell: Seed = 0
     """Of a simulated workcell."""
     workspace: Bounds = Bounds()
     limits: LimitsEntry = LimitsEntry()
@@ -158,7 +160,7 @@ class WorkcellFile(Section):
     """Heights, forces and speeds of pick and place."""
     bag: Bag = Bag()
     calibrations: CalibrationFiles = CalibrationFiles()
-    sure_within_m: float = Field(WorkcellSettings().sure_within_m, gt=0)
+    sure_within_m: Metres = Field(WorkcellSettings().sure_within_m, gt=0)
     """Nothing moves when a plan's pick or place is not known within this, nine times of ten."""
 
     @model_validator(mode="after")
@@ -189,6 +191,18 @@ class WorkcellFile(Section):
                 f"handling.pick_z_m and place_z_m are {handling.pick_z_m:g} and {handling.place_z_m:g}, the limits "
                 f"allow no less than {limits.z_min_m:g}; raise them"
             )
+        for name, above in (("pick_z_m", "approach_z_m"), ("place_z_m", "travel_z_m")):
+            value, highest = getattr(handling, name), getattr(handling, above)
+            if value > highest:
+                raise ValueError(
+                    f"handling.{name} is {value:g}, the hand comes down from handling.{above}, {highest:g}; lower it"
+                )
+        for name in ("open_width_m", "release_width_m", "empty_width_m"):
+            value = getattr(handling, name)
+            if not 0 <= value <= _WIDEST_M:
+                raise ValueError(
+                    f"handling.{name} is {value:g}, expected metres from 0 to {_WIDEST_M:g}; change it"
+                )
         return self
 
     @model_validator(mode="after")
