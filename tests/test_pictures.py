@@ -31,6 +31,7 @@ SQUARE = np.array([[20.0, 30], [60, 32], [58, 72], [18, 70]])
     [
         COLOR.tolist(),
         COLOR.astype(int),
+        COLOR.astype(np.uint16),
         COLOR.astype(np.uint16) * 257,
         COLOR.astype(">u2") * 257,
         COLOR / 255,
