@@ -16,6 +16,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -274,6 +275,7 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         *(f"bag?x=0.5&y=0.1&yaw={wrong}" for wrong in ("nan", "inf", "left")),
         "bag?y=0.1",
         "bag?x=0.5&y=0.1&z=0.2",
+        "bag?x=0.5&y=0.1&x=0.6",
         "bag?x=0.5&y=0.1&undented=nan",
         *(f"reset?seed={wrong}" for wrong in ("nan", "-1", "1e400", "1.5", "9" * 5000, "")),
         *(f"paddle?shown={wrong}" for wrong in ("nan", "2", "-1", "yes")),
@@ -297,6 +299,21 @@ def test_what_makes_no_scene_and_no_fault_is_refused_and_nothing_changes(
     after = control.truth()
     assert after["seed"] == before["seed"] == 0
     assert np.hypot(after["bag"]["x"] - HERE.x, after["bag"]["y"] - HERE.y) < 0.01
+
+
+def test_what_is_asked_as_a_form_is_done_too(cell: Workcell, control: LabControl) -> None:
+    def ask(path: str, form: bytes) -> Any:
+        request = urllib.request.Request(f"{control.address}/{path}", form, method="POST")
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return json.load(answer)
+
+    assert ask("reset", b"seed=7")["seed"] == 7
+    assert ask("bag?x=0.45", b"y=0.2&undented=1")["bag"]["y"] == pytest.approx(0.2, abs=1e-6)
+    for form in (b'{"seed": 3}', b"seed=", b"x" * 5000):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            ask("reset", form)
+        assert json.load(refused.value)["error"].startswith("expected")
+    assert control.truth()["seed"] == 7
 
 
 @pytest.mark.slow

@@ -28,6 +28,8 @@ from baggie.lab.lab import Lab
 
 STREAM = "/camera.mjpg"
 _BOUNDARY = "frame"
+_LONGEST = 4096
+"""Bytes of what is said in a form."""
 
 
 class LabServer:
@@ -79,8 +81,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         lab, camera = self.server.lab, self.server.camera
         asked = urlsplit(self.path)
-        words = dict(parse_qsl(asked.query, keep_blank_values=True))
         try:
+            words = _words(asked.query, self._form())
             match asked.path:
                 case "/reset":
                     _check_known(words, "seed")
@@ -105,6 +107,15 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         else:
             self._answer(HTTPStatus.OK, lab.call(lambda: truth(lab)))
+
+    def _form(self) -> str:
+        """What comes as a form sends it, `curl -d seed=3`, in place of the address."""
+        length = self.headers.get("Content-Length", "0")
+        if not (length.isdecimal() and int(length) <= _LONGEST):
+            raise BaggieError(
+                f"expected a form of at most {_LONGEST} bytes, got Content-Length {length[:20]!r}"
+            )
+        return self.rfile.read(int(length)).decode("latin-1")
 
     def log_message(self, *arguments: object) -> None:
         """Nothing on the terminal."""
@@ -144,6 +155,15 @@ def truth(lab: Lab) -> dict[str, Any]:
         "motions_begun": lab.fci.begun,
         "errors_recovered": lab.fci.recovered,
     }
+
+
+def _words(*texts: str) -> dict[str, str]:
+    """What is said as `NAME=VALUE&NAME=VALUE`, each once."""
+    pairs = [pair for text in texts for pair in parse_qsl(text, keep_blank_values=True)]
+    words = dict(pairs)
+    if len(words) < len(pairs):
+        raise BaggieError(f"expected each of {' and '.join(words)} once, got one of them twice")
+    return words
 
 
 def _check_known(words: dict[str, str], *known: str) -> None:
