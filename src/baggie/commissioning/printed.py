@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import tyro
 from annotated_types import Interval
 
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, UsageError
 from baggie.ranges import Color, Options
 from baggie.vision.goal_card import CARD_COLOR
 from baggie.vision.printing import print_goal_card, print_target
-from baggie.vision.targets import parse_target
+from baggie.vision.targets import Target, parse_target
 
 HAND_MARKER = "aruco:DICT_4X4_50:0:0.060"
 """On the plate in front of the fingertips, for `image-to-robot` and `check`."""
@@ -51,20 +51,30 @@ class PrintOptions(Options):
 
 
 def print_to_pdf(options: PrintOptions) -> dict[str, Any]:
-    """Write the PDF; where it is, and what to do with it. Raises `BaggieError` for what fits no paper."""
+    """Write the PDF; where it is, and what to do with it.
+
+    Raises `UsageError` for what is no target, paper or PDF, `BaggieError` for what fits no paper.
+    """
     out = options.out or Path(f"{options.target.replace(':', '-')}.pdf")
     if out.suffix.lower() != ".pdf":
-        raise BaggieError(f"expected a file that ends in .pdf, got {out}")
+        raise UsageError(f"expected a file that ends in .pdf, got {out}")
     spec, paper = NAMED.get(options.target, (options.target, "A4"))
     paper = options.paper or paper
     if options.target == GOAL_CARD:
         spec = f"a square of {options.size * 1000:.0f} mm"
         print_goal_card(out, options.size, options.color, paper)
     else:
-        print_target(parse_target(spec), out, paper)
+        print_target(_target(spec), out, paper)
     return {
         "pdf": str(out),
         "target": spec,
         "paper": paper,
         "next": "print at 100%, not fitted to the page; measure the ruler; glue it to something flat",
     }
+
+
+def _target(spec: str) -> Target:
+    try:
+        return parse_target(spec)
+    except BaggieError as error:
+        raise UsageError(str(error)) from None

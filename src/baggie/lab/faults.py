@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baggie.errors import BaggieError
+from baggie.errors import UsageError
 from baggie.lab.camera import LabCamera
 from baggie.lab.fci import LATE
 from baggie.lab.lab import Lab
@@ -75,18 +75,18 @@ FAULTS = {
 def cause(name: str, lab: Lab, camera: LabCamera, after_s: float = 0.0, seconds: float = DEFAULT_S) -> None:
     """Let something of `FAULTS` go wrong when `after_s` have passed in the lab, for `seconds` where it lasts.
 
-    Raises `BaggieError` as `check_fault` does.
+    Raises `UsageError` as `check_fault` does.
     """
     check_fault(name, after_s, seconds)
     lab.later(after_s, lambda: FAULTS[name].happen(lab, camera, seconds))
 
 
 def check_fault(name: str, after_s: float = 0.0, seconds: float = DEFAULT_S) -> None:
-    """Raise `BaggieError` for a fault that is not there, and for times that are none."""
+    """Raise `UsageError` for a fault that is not there, and for times that are none."""
     if name not in FAULTS:
-        raise BaggieError(f"expected a fault among {', '.join(FAULTS)}, got {name!r}")
+        raise UsageError(f"expected a fault among {', '.join(FAULTS)}, got {name!r}")
     if not (0 <= after_s <= LONGEST_S and 0 <= seconds <= LONGEST_S):
-        raise BaggieError(
+        raise UsageError(
             f"expected times of a fault from 0 to {LONGEST_S:g} s, got after {after_s:g} s for {seconds:g} s"
         )
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, PathPatch
 from matplotlib.path import Path as Outline
 
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, UsageError
 from baggie.files import write_bytes
 from baggie.geometry import FloatArray
 from baggie.types import DrawnStyle
@@ -118,7 +118,7 @@ def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style
 def _page(size_mm: FloatArray, paper: str, what: str, name: str, words: str) -> _Page:
     """An empty page on which a drawing of this size will be centred, with everything else already on it."""
     if paper not in PAPERS:
-        raise BaggieError(f"expected paper {' or '.join(PAPERS)}, got {paper!r}")
+        raise UsageError(f"expected paper {' or '.join(PAPERS)}, got {paper!r}")
     around = np.array([2 * (_MARGIN + _ASIDE), _MARGIN + _ASIDE + _FOOTER])
     sheet = _orientation(size_mm + around, paper)
     if sheet is None:
