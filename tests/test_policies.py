@@ -194,6 +194,12 @@ def test_damaged_checkpoints_are_one_clear_line(tmp_path, keypoint, damage):
     assert "\n" not in str(error.value)
 
 
+def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(tmp_path):
+    (tmp_path / "config.yaml").mkdir()  # as root, everything may be read
+    with pytest.raises(DataError, match=r"config\.yaml cannot be read: Is a directory"):
+        load_policy(tmp_path)
+
+
 def test_a_checkpoint_of_another_policy_is_refused(tmp_path, keypoint):
     keypoint.save_pretrained(tmp_path)
     with pytest.raises(DataError, match="holds a keypoint policy, but regression was asked for"):

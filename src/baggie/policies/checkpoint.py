@@ -83,7 +83,9 @@ def read_config(folder: Path) -> dict[str, Any]:
         config = read_yaml(path)
     except FileNotFoundError:
         raise DataError(f"{path} is missing: give the folder of a training run that has finished") from None
-    except (OSError, DataError):
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}; mend that or take a copy") from None
+    except DataError:
         raise DataError(f"{path} cannot be read: it is damaged; train again or take a copy") from None
     if not isinstance(config, dict) or "policy" not in config:
         raise DataError(f"{path} does not describe a policy: give the folder of a training run")
