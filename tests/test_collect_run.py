@@ -122,6 +122,16 @@ def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
     assert go_on(bag, 3) == 3
 
 
+def test_a_workspace_out_of_reach_is_one_clear_line(tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("workspace: {x: [3.5, 4.5]}\n")
+    options = CollectOptions(out=tmp_path / "data", attempts=1, workers=1, workcell=file)
+    with pytest.raises(
+        BaggieError, match=r"of 24 places of the workspace, x 3\.50\..4\.50 m.*, saw it in 0: "
+    ):
+        collect(options)
+
+
 def test_what_is_kept_for_evaluation_is_not_collected(tmp_path):
     with pytest.raises(BaggieError, match="among plain, varied, got 'unseen'"):
         collect(CollectOptions(out=tmp_path / "a", scenery="unseen"), open_fake)

@@ -8,11 +8,13 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot.checks import MIN_POINTS_TWO_HEIGHTS
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import CollectorCell
 from baggie.collect.detect import at_outline
 from baggie.collect.places import MARGIN_M
 from baggie.commissioning.points import color_finder, grid, visit
+from baggie.errors import BaggieError
 from baggie.geometry import transform_points
 from baggie.vision.picture_files import write_picture
 from baggie.workcell.watch import REFERENCE_FILE
@@ -49,17 +51,22 @@ def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
     in_hand = np.array([settings.marker.offset_m, 0.0, 0.0])
     cell.reset((seeds.CALIBRATION, seed))
     cell.show_paddle(True)
+    places = grid(settings.workspace, MARGIN_M, MARKER_HEIGHTS_M)
     pixels, robot = [], []
     try:
-        for _, T_base_hand, observation in visit(
-            cell.arm, camera, grid(settings.workspace, MARGIN_M, MARKER_HEIGHTS_M), in_hand
-        ):
+        for _, T_base_hand, observation in visit(cell.arm, camera, places, in_hand):
             pixel = find(observation.color)
             if pixel is not None:
                 pixels.append(pixel)
                 robot.append(transform_points(T_base_hand, in_hand)[0])
     finally:
         cell.show_paddle(False)
+    if len(pixels) < MIN_POINTS_TWO_HEIGHTS:
+        raise BaggieError(
+            f"expected to see the marker in most of {len(places)} places of the workspace, {settings.workspace}, "
+            f"saw it in {len(pixels)}: see that the hand has it, or make the workspace smaller, within the arm's reach "
+            "and the camera's view"
+        )
     return ImageToRobot.fit(
         np.array(pixels),
         np.array(robot),
