@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -487,7 +487,8 @@ def test_a_result_is_read_as_it_was_written(tmp_path: Path) -> None:
         assert np.array_equal(back.transform.transform, result.transform.transform)
         assert np.array_equal(back.transform.covariance, result.transform.covariance)
         assert np.array_equal(back.board, result.board)
-        assert replace(back, transform=result.transform, board=result.board) == mounted
+        for name in {each.name for each in fields(HandEye)} - {"transform", "board"}:  # which have arrays
+            assert getattr(back, name) == getattr(mounted, name)
         content = yaml.safe_load(path.read_text())
         assert np.array_equal(content[key], result.transform.transform)
         assert content["leave_one_out_mm"] == result.leave_one_out_mm
