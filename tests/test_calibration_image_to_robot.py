@@ -490,6 +490,6 @@ def test_a_cell_without_its_marker_cannot_be_calibrated():
     cell = FakeCell(size=(640, 360))
     cell.show_paddle = lambda shown: None
     with pytest.raises(
-        BaggieError, match="marker in most of 24 places .* saw it in 0: see that the hand has it"
+        BaggieError, match=r"marker in most of 24 places .* saw it in 0: see that the hand has it"
     ):
         calibrate(cell, seed=0)
