@@ -12,7 +12,7 @@ help: ## show this
 demo: $(STAMP) ## from nothing to a robot moving bags, and a report: minutes on two cores
 	$(BIN)/python examples/demo.py
 
-test: $(STAMP) browser ## the fast tests, under 5 minutes on two cores
+test: $(STAMP) browser ## the fast tests, a little over 3 minutes on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile # what tests of one file share is made once
 
 test-slow: $(STAMP) browser ## the tests that take minutes, and all laws on many examples

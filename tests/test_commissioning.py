@@ -101,6 +101,7 @@ def test_pictures_beside_the_results_show_them(calibrated: Path) -> None:
         assert read_picture(calibrated / name).shape[0] > 100, name
 
 
+@pytest.mark.slow
 def test_a_workcell_file_points_to_its_calibrations(calibrated: Path) -> None:
     lines = [
         "arm: sim",
