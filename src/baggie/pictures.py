@@ -127,9 +127,8 @@ def _crosses_itself(points: FloatArray) -> bool:
     along = np.roll(points, -1, axis=0) - points
     between = points[None] - points[:, None]
     side = np.sign(along[:, None, 0] * between[..., 1] - along[:, None, 1] * between[..., 0])
-    parted = (
-        side * np.roll(side, -1, axis=1) < 0
-    )  # the line along edge i has the ends of edge j on both sides
+    # Whether the line along edge i has the ends of edge j on both sides.
+    parted = side * np.roll(side, -1, axis=1) < 0
     return bool((parted & parted.T).any())
 
 

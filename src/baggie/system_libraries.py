@@ -138,13 +138,8 @@ def main(may_install: bool) -> int:
         return 0
     if may_install and os.geteuid() == 0 and shutil.which("apt-get"):
         _install(needs)
-        again = [
-            sys.executable,
-            "-I",
-            __file__,
-            "--only-look",
-        ]  # what a library found is found once in a process
-        return subprocess.run(again, check=False).returncode
+        # In a process of its own: what a library found when it was loaded stays so within one.
+        return subprocess.run([sys.executable, "-I", __file__, "--only-look"], check=False).returncode
     names = ", ".join(need.name for need in needs)
     print(f"error: this machine lacks what pip cannot install ({names}): {remedy(needs)}", file=sys.stderr)
     return 1
