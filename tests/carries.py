@@ -11,8 +11,9 @@ from baggie.types import PickPlace
 from baggie.workcell.primitives import least_turn, rehearse
 from baggie.workcell.workcell import Workcell
 
-SLACK_RAD = 0.7
-"""By so much more does a hand turn that has to go round the longer way, or begin with the other half turn."""
+SLACK_RAD = math.pi / 2 + 0.01
+"""By so much more at most does a hand turn whose limits make it begin with the other half turn: up to half a turn
+instead of a quarter. An arm foresees its turns to the last term."""
 
 
 def carries_in(area: Rectangle) -> st.SearchStrategy[PickPlace]:

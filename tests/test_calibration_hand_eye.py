@@ -206,6 +206,7 @@ def test_jacobians_are_the_derivatives(module: Any, monkeypatch: pytest.MonkeyPa
         assert checked
 
 
+@pytest.mark.slow
 def test_the_truth_lies_where_the_covariance_says() -> None:
     results = [solve_hand_eye(by_poses(seed, count=7)) for seed in range(4)]
     assert sum(result.transform.holds(TRUTH) for result in results) >= 3

@@ -146,6 +146,7 @@ def test_terms_that_are_not_there_are_not_fitted():
     assert (np.diag(fit.covariance)[:4] > 0).all()
 
 
+@pytest.mark.slow
 def test_no_fixed_choice_of_terms_does_clearly_better_on_new_views():
     for lens in (TRUE, replace(TRUE, distortion=np.array([-0.2, 0, 0, 0, 0]))):
         old, new = views(12, 0.2, 1, lens), [view.seen for view in views(25, 0.2, 2, lens)]
@@ -180,6 +181,7 @@ def drawn_camera(seed):
     return lens, views(int(rng.integers(8, 16)), rng.uniform(0.05, 0.4), seed, lens)
 
 
+@pytest.mark.slow
 def test_the_true_lens_is_inside_the_stated_region():
     inside = [holds(fit_intrinsics(old, CAMERA, BOARD), lens) for lens, old in map(drawn_camera, range(3))]
     assert sum(inside) >= 2

@@ -117,6 +117,7 @@ def test_a_network_camera_that_hangs_or_repeats_itself_is_noticed_and_comes_back
     assert server.made_at[number_in(network.look().color)] > called
 
 
+@pytest.mark.slow
 def test_a_dropped_connection_is_opened_again(network: OpenCamera, server: MjpegServer) -> None:
     network.look()
     server.go_away()

@@ -1,5 +1,4 @@
 import errno
-import functools
 import importlib
 import io
 import json
@@ -29,7 +28,6 @@ from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
-from baggie.processes import ask_parent, stream_in_processes
 from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
 from streaming import stream_here
@@ -99,7 +97,7 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
-def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path, here):
     file, out = tmp_path / "cell.yaml", tmp_path / "data"
 
     def go_on(written, attempts):
@@ -446,44 +444,3 @@ def test_streams_of_scenes_never_meet():
     names = [seeds.COLLECTION, seeds.PLACES, seeds.CALIBRATION, seeds.EVALUATION]
     draws = {seeds.generator(name, seed, 0).integers(2**63) for name in names for seed in range(50)}
     assert len(draws) == 200
-
-
-def times(factor: int):
-    """A worker that refuses 13."""
-
-    def run(task: int):
-        for step in range(3):
-            if task == 13:
-                raise BaggieError("13 brings bad luck")
-            if task == 14:
-                raise ZeroDivisionError("14 is worse")
-            yield factor * task + step
-
-    return run
-
-
-def test_processes_stream_every_result():
-    results = stream_in_processes(functools.partial(times, 10), range(7), workers=2)
-    assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
-
-
-def asking():
-    """A worker that asks before it answers."""
-
-    def run(task: int):
-        yield task, ask_parent(f"may I do {task}?")
-
-    return run
-
-
-def test_a_worker_is_answered_by_the_process_that_started_it():
-    answers = stream_in_processes(asking, range(5), workers=2, answer=lambda question: "3" in question)
-    assert dict(answers) == {task: task == 3 for task in range(5)}
-    assert not ask_parent("and here?")
-
-
-def test_errors_in_processes_come_back_as_they_are():
-    with pytest.raises(BaggieError, match="bad luck"):
-        list(stream_in_processes(functools.partial(times, 1), [1, 13], workers=1))
-    with pytest.raises(RuntimeError, match="14 is worse"):
-        list(stream_in_processes(functools.partial(times, 1), [14], workers=1))

@@ -148,7 +148,7 @@ def _die_at(step: int, root: Path, attempt_id: int) -> None:
         pytest.param((), 100, 101, marks=pytest.mark.slow),  # begins an episode
         ((3, 100, 101), 102, 103),  # goes on with one
         pytest.param((100, 101), 200, 201, marks=pytest.mark.slow),  # begins another
-        ((3, 100, 101), 7, 200),  # ends one by standing alone
+        pytest.param((3, 100, 101), 7, 200, marks=pytest.mark.slow),  # ends one by standing alone
     ],
 )
 def test_dying_at_any_step_loses_and_doubles_nothing(
@@ -199,7 +199,7 @@ def _repair_dying_at(step: int, root: Path) -> None:
     writer(root).close()
 
 
-@pytest.mark.parametrize("died_at", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)), 3, 4])
+@pytest.mark.parametrize("died_at", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 4)), 3])
 def test_dying_in_a_repair_is_repaired(
     tmp_path: Path, died_at: int, exit_code_of: Callable[..., int | None]
 ) -> None:

@@ -160,6 +160,7 @@ def test_however_a_carry_is_said_the_bag_arrives_by_one_motion(cell: Workcell, c
     np.testing.assert_allclose(ways, np.tile(ways[0], (3, 1)), atol=0.01)
 
 
+@pytest.mark.slow
 def test_lowering_stops_on_the_bag_and_not_in_the_air(cell: Workcell, control: LabControl) -> None:
     cell.arm.move_to(HERE.at_height(0.15), FAST_M_S)
     assert control.truth()["tool"] == pytest.approx({"x": HERE.x, "y": HERE.y, "z": 0.15}, abs=0.003)
@@ -221,6 +222,7 @@ def test_a_cut_link_is_an_error_and_comes_back(cell: Workcell, control: LabContr
     cell.arm.move_to(HIGH, FAST_M_S)
 
 
+@pytest.mark.slow
 def test_a_grasp_that_slips_is_noticed(cell: Workcell, control: LabControl) -> None:
     cell.arm.move_to(HERE.at_height(0.1), FAST_M_S)
     cell.arm.lower_until_contact(0.014, 0.35, 10.0)
@@ -232,6 +234,7 @@ def test_a_grasp_that_slips_is_noticed(cell: Workcell, control: LabControl) -> N
     wait_until(lambda: cell.arm.gripper_width() < cell.settings.handling.empty_width_m)
 
 
+@pytest.mark.slow
 def test_a_bumped_camera_sees_everything_elsewhere(cell: Workcell, control: LabControl) -> None:
     before = find_bag(cell.camera.look().color, cell.settings.object_color)
     control.fault("bump-camera")

@@ -211,6 +211,7 @@ test_learning.train(test_learning.options(Path({out!r}), save_every_s=0.0, steps
 """
 
 
+@pytest.mark.slow
 def test_a_killed_training_ends_in_the_same_weights(tmp_path):
     code = KILLED.format(tests=str(Path(__file__).parent), out=str(tmp_path / "killed"))
     child = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
@@ -232,7 +233,7 @@ def test_a_killed_training_ends_in_the_same_weights(tmp_path):
     assert all(torch.equal(killed[name], whole[name]) for name in whole)
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path, monkeypatch):
+def test_after_ctrl_c_it_says_how_to_go_on_and_ends_in_the_same_weights(tmp_path, monkeypatch):
     made = KeypointRecipe.batch
 
     def interrupting(self, rng):
@@ -246,6 +247,9 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path, monkeypatch):
     assert torch.load(tmp_path / "a" / FILE, weights_only=True)["step"] >= 1
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert train(options(tmp_path / "a"), ATTEMPTS)["steps"] == 6
+    train(options(tmp_path / "whole"), ATTEMPTS)
+    interrupted, whole = weights(tmp_path / "a"), weights(tmp_path / "whole")
+    assert all(torch.equal(interrupted[name], whole[name]) for name in whole)
 
 
 class SecondOfTwo:

@@ -329,6 +329,7 @@ def test_minimum_jerk_starts_and_ends_at_rest() -> None:
     assert velocity.max() == pytest.approx(1.875, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_the_environment_passes_gymnasiums_own_check() -> None:
     check_env(gymnasium.make("baggie/BagPlace-v0").unwrapped, skip_render_check=True)

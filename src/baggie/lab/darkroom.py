@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 import mujoco
@@ -14,7 +14,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.cell import Cell, draw_cell
+from baggie.sim.cell import draw_cell
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.sensor import Exposure
 from baggie.sim.world import World
@@ -31,7 +31,8 @@ class Moment:
     """Of the physics, as MuJoCo orders it."""
     colors: FloatArray
     """Of all geoms: what is not shown is transparent."""
-    cell: Cell
+    camera: tuple[FloatArray, FloatArray]
+    """`camera_position` and `camera_rotation` of the cell, which may have been bumped; its lens stays as it is."""
     exposure: Exposure
 
     @classmethod
@@ -39,11 +40,13 @@ class Moment:
         """What there is to see now."""
         state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, world.data, state, _STATE)
-        return cls(state, world.model.geom_rgba.copy(), world.cell, exposure)
+        camera = (world.cell.camera_position, world.cell.camera_rotation)
+        return cls(state, world.model.geom_rgba.copy(), camera, exposure)
 
     def lay_out(self, world: ArmWorld) -> None:
         """Make a world of the same cell look as it did then."""
-        world.place_camera(self.cell)
+        position, rotation = self.camera
+        world.place_camera(replace(world.cell, camera_position=position, camera_rotation=rotation))
         world.model.geom_rgba[:] = self.colors
         mujoco.mj_setState(world.model, world.data, self.state, _STATE)
         world.update_fixed()

@@ -22,6 +22,11 @@ class LabHand:
         """Metres between the fingers."""
         return self._fingers.width
 
+    @property
+    def moving(self) -> bool:
+        """Whether the fingers' command is on its way."""
+        return self._opening != self._goal or self._slipping_s > 0
+
     def reset(self) -> None:
         """Take note that the fingers are wide open."""
         self._opening = self._goal = OPEN_M

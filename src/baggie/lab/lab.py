@@ -37,7 +37,7 @@ class Lab:
     """Table, bag, camera and robot. `run` makes time pass; whatever else touches them does so between its ticks."""
 
     def __init__(self, cell: int, seed: int, host: str, pace: float) -> None:
-        """`pace`: how many times as fast as real time it may go, 0 for as fast as it can.
+        """`pace`: how many times as fast as real time it may go, 0 for as fast as it can while the arm is at work.
 
         Raises `BaggieError` where the robot's ports at `host` cannot be had.
         """
@@ -76,8 +76,10 @@ class Lab:
                 for _ in range(TICKS_PER_STEP):
                     self._tick()
                 self._between_steps()
-                if self._pace:
-                    time.sleep(max(0.0, STEP_S / self._pace - (time.monotonic() - began)))
+                # Nobody gains by a scene that rests faster than it would, and a processor is left to whoever looks.
+                pace = self._pace or (0.0 if self.busy else 1.0)
+                if pace:
+                    time.sleep(max(0.0, STEP_S / pace - (time.monotonic() - began)))
         finally:
             self.fci.cleanup()
             self.darkroom.close()
@@ -120,7 +122,7 @@ class Lab:
         self.time += TICK_S
 
     def _between_steps(self) -> None:
-        if self.fci.moving:
+        if self.fci.moving or self.robot.hand.moving:
             self._moved_at = time.monotonic()
         due = [action for moment, action in self._later if moment <= self.time]
         self._later = [(moment, action) for moment, action in self._later if moment > self.time]

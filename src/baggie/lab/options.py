@@ -24,7 +24,7 @@ class LabOptions(Options):
     camera_port: Port = 8090
     """Port of the camera's stream and of the control channel; 0 for any that is free."""
     pace: NotNegative = 1.0
-    """How many times as fast as real time it may go at most; 0: as fast as it can."""
+    """How many times as fast as real time it may go at most; 0: as fast as it can while the arm is at work."""
     fault: tuple[str, ...] = ()
     """What goes wrong: NAME, or NAME:AFTER with seconds of the lab's time; see docs/lab.md for the names."""
     out: Path | None = None

@@ -6,6 +6,7 @@ runs in steps of several milliseconds, so that a world with a soft bag in it kee
 
 from __future__ import annotations
 
+import statistics
 from collections import deque
 
 import mujoco
@@ -84,7 +85,7 @@ class LabRobot:
         self._q, self._dq = world.joints, world.joint_velocities
         self._T_base_hand = self._kinematics.hand_pose(self._q)
         self._forces.append(upward_touch(world.model, world.data, self._hand_bodies))
-        self._force_n = float(np.median(self._forces))
+        self._force_n = statistics.median(self._forces)
 
     # -- commands, as the server passes them on -------------------------------------------------------------------
 
