@@ -21,6 +21,7 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye import refine as hand_eye_refine
 from baggie.calibration.hand_eye import reproject as hand_eye_reproject
 from baggie.calibration.hand_eye.closed_forms import CLOSED_FORMS, closed_form
+from baggie.calibration.hand_eye.lens import lens_share
 from baggie.calibration.hand_eye.picture import draw_views
 from baggie.calibration.hand_eye.result import HandEye
 from baggie.calibration.hand_eye.solve import solve_hand_eye
@@ -335,6 +336,26 @@ def test_a_board_taken_for_its_mirror_image_is_put_right() -> None:
     right, wrong = solve_hand_eye(views), solve_hand_eye(replace(views, T_camera_board=boards))
     assert wrong.dropped == ()
     assert difference(wrong.transform.transform, right.transform.transform)[0] < 1e-4
+
+
+def test_a_lens_of_four_terms_is_the_one_with_a_fifth_of_zero() -> None:
+    views = by_corners(17)
+    start = solve_hand_eye(views)
+    pair = (start.transform.transform, start.board)
+    covariance = np.diag([1.0, 1.0, 2.0, 2.0, 1e-4, 1e-4, 1e-8, 1e-8, 1e-4])
+    shares = [
+        lens_share(
+            replace(
+                views,
+                intrinsics=replace(CAMERA, distortion=np.array([0.1, -0.05, 1e-3, 1e-3, *fifth])),
+                intrinsics_covariance=covariance,
+            ),
+            pair,
+        )
+        for fifth in ((), (0.0,))
+    ]
+    assert shares[0].any()
+    np.testing.assert_allclose(shares[0], shares[1], rtol=1e-9, atol=1e-18)
 
 
 # On disk

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.cli import main
 from baggie.errors import CameraError
 from baggie.types import Intrinsics
+from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import parse_target
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.cameras.opening import OpenCamera, open_camera
@@ -54,6 +56,29 @@ def test_frames_come_one_after_the_other_until_the_video_is_over(video: Path) ->
     with pytest.raises(CameraError, match="over"):
         camera.look()
     camera.close()
+
+
+def test_a_film_with_a_rotation_mark_shows_the_sensors_own_rows_live_as_from_a_folder(tmp_path: Path) -> None:
+    path = tmp_path / "upright.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
+    for value in (50, 100, 150):
+        writer.write(np.full((48, 64, 3), value, np.uint8))
+    writer.release()
+    one, straight = 1 << 16, struct.Struct(">9i")  # ISO/IEC 14496-12: a matrix in each track's header
+    content = path.read_bytes()
+    upright, turned = (
+        straight.pack(*numbers, 0, 0, 1 << 30)
+        for numbers in ((one, 0, 0, 0, one, 0), (0, one, 0, -one, 0, 0))
+    )
+    track = content.index(b"tkhd")
+    path.write_bytes(content[:track] + content[track:].replace(upright, turned, 1))
+    as_film = cv2.VideoCapture(str(path)).read()[1]
+    assert as_film.shape == (64, 48, 3), "OpenCV turns it unless told otherwise"
+    live = open_opencv(str(path))
+    assert live.size == (64, 48)
+    assert live.look().color.shape == (48, 64, 3)
+    live.close()
+    assert {picture.shape for _, picture in read_pictures(path)} == {(48, 64, 3)}
 
 
 def test_what_is_no_camera_is_one_line() -> None:

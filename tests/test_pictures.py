@@ -210,3 +210,15 @@ def test_what_else_a_goal_may_not_be_is_one_line(asked: dict[str, Any], line: st
 
 def test_a_point_may_be_an_array() -> None:
     assert Goal(SQUARE, object_at=np.array([3, 4])).object_at == (3.0, 4.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_a_sensor_of_more_bits_shows_the_same_in_eight(bits: int, tmp_path: Path) -> None:
+    grey = RNG.integers(0, 256, (12, 20), np.uint8)
+    grey[0, 0] = 255
+    deep = (grey.astype(np.uint16) << (bits - 8)) | RNG.integers(0, 1 << (bits - 8), grey.shape, np.uint16)
+    Pillow.fromarray(deep).save(tmp_path / "deep.png")
+    Pillow.fromarray(deep).save(tmp_path / "deep.tif")
+    Pillow.fromarray((grey / 255).astype(np.float32)).save(tmp_path / "fractions.tif")
+    for name in ("deep.png", "deep.tif", "fractions.tif"):
+        np.testing.assert_array_equal(read_picture(tmp_path / name), np.dstack([grey] * 3), err_msg=name)

@@ -12,6 +12,8 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 
 _BRIGHTEST = 255
+_SENSOR_BITS = (10, 12, 14, 16)
+"""Of sensors whose pictures come in uint16."""
 _LEAST_PX = 1.0
 """A goal has at least this area, square pixels: corners in shares of the picture make one of less."""
 _ROUNDED = 0.5 / 255
@@ -22,8 +24,9 @@ def as_picture(picture: Any) -> NDArray[np.uint8]:
     """A picture as `(H, W, 3)` uint8 RGB; one that is so already is returned as it is.
 
     Taken are arrays, tensors, lists and Pillow's pictures: grey, RGB or RGBA, whose transparency is left out; whole
-    numbers of 8 bits or, in uint16 with any above 255, of 16; fractions from 0 to 1; `(3, H, W)`, as PyTorch orders
-    them. Raises `BaggieError` for anything else.
+    numbers of 8 bits or, in uint16 with any above 255, of as many of 10, 12, 14 or 16 as the brightest needs, as
+    industrial cameras fill 16 bits; fractions from 0 to 1; `(3, H, W)`, as PyTorch orders them. Raises `BaggieError`
+    for anything else.
     """
     array = _opaque(_array(picture))
     if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
@@ -109,7 +112,8 @@ def _in_8_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     if (
         kind == "u" and array.dtype.itemsize == 2 and array.max() > _BRIGHTEST
     ):  # or there is nothing to see in it
-        return (array >> 8).astype(np.uint8)
+        bits = next(bits for bits in _SENSOR_BITS if array.max() < 1 << bits)
+        return (array >> (bits - 8)).astype(np.uint8)
     if kind not in "buif":
         raise BaggieError(f"expected a picture of numbers, got an array of {array.dtype}")
     brightest, spare = (1, _ROUNDED) if kind in "bf" else (_BRIGHTEST, 0.0)

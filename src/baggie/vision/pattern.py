@@ -33,7 +33,7 @@ class Pattern:
 
 
 def pattern(target: Target) -> Pattern:
-    """How a target is drawn. Raises `BaggieError` where its dictionary has too few markers for it."""
+    """How a target is drawn."""
     match target:
         case Charuco():
             return _charuco(target)
@@ -54,13 +54,7 @@ def pattern(target: Target) -> Pattern:
 
 
 def _charuco(target: Charuco) -> Pattern:
-    needed = target.columns * target.rows // 2
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
-    if needed > len(dictionary.bytesList):
-        raise BaggieError(
-            f"{target.spec} needs {needed} markers and {target.dictionary} has {len(dictionary.bytesList)}; "
-            "take a larger dictionary, for example DICT_4X4_250"
-        )
     corners = np.asarray(target.board.getObjPoints(), float)[
         ..., :2
     ]  # (M, 4, 2), from the top left clockwise

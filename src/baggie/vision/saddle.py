@@ -16,6 +16,8 @@ from baggie.geometry import FloatArray
 
 _BLUR_PX = 1.0
 _ROUNDS = 3
+_REMAP_STEPS = 32
+"""Of `cv2.remap`, a pixel (`INTER_TAB_SIZE`)."""
 _MAX_MOVE_PX = 1.5
 """A corner that would move further is left where it was: something else is there."""
 
@@ -32,6 +34,8 @@ def refine_saddles(grey: NDArray[np.uint8], corners: FloatArray, radius: int) ->
     fit = np.linalg.pinv(basis * weight[:, None]) * weight
     found, settled = corners.astype(float), np.ones(len(corners), bool)
     for _ in range(_ROUNDS):
+        # `cv2.remap` rounds to 1/32 pixel whatever it is given: look where it looks, and step from there.
+        found = np.round(found * _REMAP_STEPS) / _REMAP_STEPS
         in_u, in_v = ((found[:, k, None] + offsets).astype(np.float32) for k, offsets in enumerate((u, v)))
         patches = cv2.remap(smooth, in_u, in_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         a, b, c, d, e, _ = fit @ np.asarray(patches, float).T

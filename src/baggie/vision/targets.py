@@ -78,6 +78,11 @@ class Charuco:
         """`charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY`, metres."""
         return f"charuco:{self.columns}x{self.rows}:{self.square_m:g}:{self.marker_m:g}:{self.dictionary}"
 
+    @property
+    def markers(self) -> int:
+        """How many it has: one in each white square."""
+        return self.columns * self.rows // 2
+
     @cached_property
     def board(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's own board."""
@@ -120,7 +125,10 @@ class Charuco:
 
     def why_not(self, image: Image) -> str:
         """Markers of another dictionary, a mirrored picture, too few corners, or nothing at all."""
-        return _why_no_markers(image, self.dictionary, self.columns * self.rows // 2)
+        turned = replace(self, columns=self.rows, rows=self.columns)
+        if self.columns != self.rows and turned.detect(image):
+            return f"it is a board of {self.rows}x{self.columns} squares, not {self.columns}x{self.rows}; say it so"
+        return _why_no_markers(image, self.dictionary, self.markers)
 
 
 @dataclass(frozen=True)
@@ -227,6 +235,12 @@ def parse_target(spec: str) -> Target:
             _check(board.columns >= 2 and board.rows >= 2, "at least 2 x 2 squares")
             _check(0 < board.marker_m < board.square_m, "markers smaller than the squares, both above 0")
             _check(board.square_m < 1, "sizes in metres, squares under 1 m")
+            count = len(_dictionary(board.dictionary).bytesList)
+            _check(
+                board.markers <= count,
+                f"a dictionary of at least {board.markers} markers for {columns}x{rows} squares, such as DICT_4X4_250; "
+                f"{board.dictionary} has {count}",
+            )
             return board
         if kind == "chessboard" and len(words) == 2:
             chessboard = Chessboard(*_grid(words[0]), float(words[1]))
@@ -294,6 +308,11 @@ def _why_no_markers(image: Image, dictionary: str, wanted: int) -> str:
     here, mirrored = count(grey, dictionary), count(np.ascontiguousarray(grey[:, ::-1]), dictionary)
     if mirrored > 2 * here:  # now and then a mirrored marker is another one
         return "the picture is mirrored; switch the mirroring of the camera or its driver off"
+    if here >= wanted > 1:
+        return (
+            f"all {wanted} markers are seen, but not where this board has them; are its squares counted right, and is "
+            "it one board?"
+        )
     if here:
         return f"only {here} of {wanted} markers are seen; show more of it, nearer and less slanted"
     others = {name: count(grey, name) for name in _COMMON if not dictionary.startswith(name[:8])}

@@ -34,7 +34,8 @@ def lens_share(views: HandEyeViews, pair: Pair) -> FloatArray:
 
 def _moved(lens: Intrinsics, parameter: int, by: float) -> Intrinsics:
     """With one of fx, fy, cx, cy and then the distortion moved."""
-    matrix, distortion = lens.matrix.copy(), np.resize(lens.distortion, 5) * (lens.distortion.size > 0)
+    matrix, distortion = lens.matrix.copy(), lens.distortion.copy()
+    distortion.resize(max(5, distortion.size))  # zeros, where `np.resize` would begin again
     if parameter < 4:
         matrix[[(0, 0), (1, 1), (0, 2), (1, 2)][parameter]] += by
     else:

@@ -10,15 +10,15 @@ from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
 
 _GRID = 21
-"""Pixels looked at along each side of the picture."""
+"""Rays looked along for each side of the picture."""
 
 
 def fit_distortion(
-    size: tuple[int, int], matrix: FloatArray, ray: Callable[[FloatArray], FloatArray]
+    size: tuple[int, int], matrix: FloatArray, pixel: Callable[[FloatArray], FloatArray]
 ) -> Intrinsics:
-    """OpenCV's k1, k2, p1, p2, k3 of a lens that is known by the rays its pixels see.
+    """OpenCV's k1, k2, p1, p2, k3 of a lens that is known by the pixels that see rays.
 
-    `ray` maps a pixel (u, v) to (x/z, y/z). With the camera matrix given, the model is linear in its coefficients:
+    `pixel` maps a ray (x/z, y/z) to (u, v). With the camera matrix given, the model is linear in its coefficients:
 
         x_d - x = x (k1 r² + k2 r⁴ + k3 r⁶) + p1 2xy + p2 (r² + 2x²)
 
@@ -26,9 +26,10 @@ def fit_distortion(
     """
     width, height = size
     u, v = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
-    pixels = np.c_[u.ravel(), v.ravel()]
-    x, y = np.array([ray(pixel) for pixel in pixels]).T
-    seen = (pixels - matrix[:2, 2]) / np.diag(matrix)[:2]
+    middle, focal = matrix[:2, 2], np.diag(matrix)[:2]
+    rays = (np.c_[u.ravel(), v.ravel()] - middle) / focal
+    seen = (np.array([pixel(ray) for ray in rays]) - middle) / focal
+    x, y = rays.T
     r2 = x**2 + y**2
     terms_x = np.c_[x * r2, x * r2**2, 2 * x * y, r2 + 2 * x**2, x * r2**3]
     terms_y = np.c_[y * r2, y * r2**2, r2 + 2 * y**2, 2 * x * y, y * r2**3]

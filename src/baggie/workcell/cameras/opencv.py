@@ -58,6 +58,7 @@ def open_capture(source: str, settings: CameraSettings) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, [*limits, cv2.CAP_PROP_N_THREADS, 1])
     else:
         capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # a lens is calibrated in the sensor's own rows and columns
     if not capture.isOpened():
         raise CameraError(
             f"no camera or video opens as {without_password(source)!r}; give the number of a camera that is plugged "

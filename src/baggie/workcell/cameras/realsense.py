@@ -121,10 +121,12 @@ def to_intrinsics(lens: Any) -> Intrinsics:
     if lens.model in (rs.distortion.none, rs.distortion.brown_conrady) or not any(lens.coeffs):
         return opencv_intrinsics(size, matrix, lens.coeffs, "brown_conrady")
 
-    def ray(pixel: FloatArray) -> FloatArray:
-        return np.array(rs.rs2_deproject_pixel_to_point(lens, list(pixel), 1.0)[:2])
+    def pixel(
+        ray: FloatArray,
+    ) -> FloatArray:  # the other way round, a modified Brown-Conrady is passed over in silence
+        return np.array(rs.rs2_project_point_to_pixel(lens, [*ray, 1.0]))
 
-    return fit_distortion(size, matrix, ray)
+    return fit_distortion(size, matrix, pixel)
 
 
 def _play(config: Any, path: str) -> None:
