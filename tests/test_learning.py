@@ -17,6 +17,8 @@ import pytest
 import torch
 import yaml
 from accelerate import Accelerator
+from hypothesis import given
+from hypothesis import strategies as st
 
 from baggie.data.annotation import goal_of
 from baggie.errors import BaggieError, DataError
@@ -31,7 +33,7 @@ from baggie.learning.loop import Training
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
-from baggie.learning.split import Split
+from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
 from baggie.learning.state import FILE, State
 from baggie.policies import KeypointPolicy, load_policy, planar_map
 from baggie.policies.resnet import ResNet18
@@ -372,6 +374,45 @@ def test_the_published_recipe_runs(tmp_path):
 
 # --- which attempts
 # -------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(2, 600))
+def test_of_what_there_is_four_fifths_teach_and_one_fifth_measures(there):
+    train, val = shares(there, None, None, ("attempts", "that succeeded"))
+    assert train <= USUAL_TRAIN
+    assert val <= USUAL_VAL
+    assert 1 <= val <= train or there == 2
+    assert train + val == min(there, USUAL_TRAIN + USUAL_VAL)
+    if there <= 250:
+        assert abs(train - 0.8 * there) <= 0.5
+
+
+@given(st.integers(1, 300), st.integers(1, 300), st.integers(0, 300))
+def test_numbers_that_are_given_are_kept_or_refused(there, train, val):
+    if train + val <= there:
+        assert shares(there, train, val, ("attempts", "that succeeded")) == (train, val)
+    else:
+        with pytest.raises(
+            DataError, match=rf"needs {train + val} that succeeded, but the recording has {there}"
+        ):
+            shares(there, train, val, ("attempts", "that succeeded"))
+    if train < there:
+        assert shares(there, train, None, ("attempts", "that succeeded")) == (
+            train,
+            min(there - train, USUAL_VAL),
+        )
+    if 0 < val < there:
+        assert shares(there, None, val, ("attempts", "that succeeded")) == (
+            min(there - val, USUAL_TRAIN),
+            val,
+        )
+
+
+def test_a_small_recording_teaches_and_says_how_much_of_it(tmp_path, capsys):
+    train(options(tmp_path, train=None, val=None, steps=1), ATTEMPTS)
+    split = load_policy(tmp_path).training["split"]
+    assert (split["train"], split["val"]) == ([*range(8)], [8, 9])
+    assert "learning from 8 attempts, measuring on 2 others" in capsys.readouterr().err
 
 
 def test_failures_are_never_learned_from():

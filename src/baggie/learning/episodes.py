@@ -6,21 +6,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from baggie.data.annotation import did_its_task
-from baggie.errors import DataError
-from baggie.learning.split import Split, check_alike
+from baggie.learning.split import Split, check_alike, shares
 from baggie.types import Attempt
 
 RULE = "episodes that did their whole task, by attempt id: the first train, the next measure; of them what succeeded"
 
 
-def split_episodes(attempts: Sequence[Attempt], train: int, val: int) -> Split:
+def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
     """By `RULE`; `train` and `val` count episodes, and none is in both. An attempt of no episode is one by itself.
+
+    Four fifths and one fifth, at most 200 and 50, where it is not said how many.
 
     Where rewards were recorded, an episode did its task when they add up to 1. Raises `DataError` when there are too
     few, or they are from different cells or cameras.
     """
-    if train < 1 or val < 0:
-        raise DataError(f"train must be at least 1 and val at least 0, got {train} and {val}")
     episodes: dict[tuple[str, int], list[Attempt]] = {}
     for attempt in attempts:
         alone = attempt.episode is None
@@ -28,11 +27,7 @@ def split_episodes(attempts: Sequence[Attempt], train: int, val: int) -> Split:
         kept = replace(attempt, before=replace(attempt.before, depth=None), after=None)
         episodes.setdefault(key, []).append(kept)
     teaching = [chosen for episode in episodes.values() if (chosen := _demonstration(episode))]
-    if len(teaching) < train + val:
-        raise DataError(
-            f"training on {train} and measuring on {val} episodes needs {train + val} that did their task, but the "
-            f"recording has {len(teaching)}: collect more, or lower --train or --val"
-        )
+    train, val = shares(len(teaching), train, val, ("episodes", "that did their task"))
     first, next_ones = (
         [attempt for episode in part for attempt in episode]
         for part in (teaching[:train], teaching[train : train + val])

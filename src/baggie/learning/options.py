@@ -47,10 +47,12 @@ class TrainOptions(Options):
     """`keypoint` is ours; `regression` the published baseline; `transporter` for precision, on height maps or
     a camera's pictures with a map to the robot.
     """
-    train: Count = 200
-    """How many attempts to learn from: the first successful ones, by attempt id. transporter: how many episodes."""
-    val: Number = 50
-    """How many attempts, or episodes, to measure on: the next successful ones."""
+    train: Count | None = None
+    """How many attempts to learn from: the first successful ones, by attempt id. transporter: how many episodes. By
+    default four fifths of what there is, at most 200."""
+    val: Number | None = None
+    """How many attempts, or episodes, to measure on: the next successful ones. By default a fifth of what there is, at
+    most 50."""
     seed: Seed = 0
     """Of the first weights and of all batches."""
     steps: Count | None = None

@@ -12,6 +12,31 @@ from baggie.types import Attempt, Observation
 RULE = "successful attempts with a goal in the picture, by attempt id: the first train, the next measure"
 
 
+USUAL_TRAIN, USUAL_VAL = 200, 50
+"""So many teach and measure at most where nobody says how many."""
+_SHARE = 0.8
+"""Of fewer, what teaches."""
+
+
+def shares(there: int, train: int | None, val: int | None, names: tuple[str, str]) -> tuple[int, int]:
+    """How many of `there` demonstrations teach, and how many measure; None where nobody said.
+
+    `names`: what they are and which of them count, for the message. Raises `DataError` where there are too few.
+    """
+    if (train is not None and train < 1) or (val is not None and val < 0):
+        raise DataError(f"train must be at least 1 and val at least 0, got {train} and {val}")
+    if train is None and val is None and 1 < there < USUAL_TRAIN + USUAL_VAL:
+        train = round(_SHARE * there)
+    teaching = train if train is not None else min(USUAL_TRAIN, max(there - (val or 0), 1))
+    measuring = val if val is not None else min(USUAL_VAL, max(there - teaching, 1))
+    if there < teaching + measuring:
+        raise DataError(
+            f"training on {teaching} and measuring on {measuring} {names[0]} needs {teaching + measuring} {names[1]}, "
+            f"but the recording has {there}: collect more, or lower --train or --val"
+        )
+    return teaching, measuring
+
+
 @dataclass(frozen=True)
 class Split:
     """Attempts with the picture before only; all else that is large is left behind."""
@@ -20,26 +45,22 @@ class Split:
     val: list[Attempt]
 
     @classmethod
-    def of(cls, attempts: Sequence[Attempt], train: int, val: int) -> Split:
-        """By `RULE`. Raises `DataError` when there are too few attempts, or they are from different cells or
-        cameras.
+    def of(cls, attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
+        """By `RULE`; four fifths and one fifth, at most 200 and 50, where it is not said how many.
+
+        Raises `DataError` when there are too few attempts, or they are from different cells or cameras.
         """
-        if train < 1 or val < 0:
-            raise DataError(f"train must be at least 1 and val at least 0, got {train} and {val}")
+        most = (USUAL_TRAIN if train is None else train) + (USUAL_VAL if val is None else val)
         chosen: list[Attempt] = []
         for attempt in attempts:
-            if len(chosen) == train + val:
+            if len(chosen) >= most:
                 break
             if is_demonstration(attempt):
                 chosen.append(replace(attempt, before=Observation(attempt.before.color), after=None))
-        if len(chosen) < train + val:
-            raise DataError(
-                f"training on {train} and measuring on {val} attempts needs {train + val} that succeeded, "
-                "but the "
-                f"recording has {len(chosen)}: collect more, or lower --train or --val"
-            )
+        teaching, measuring = shares(len(chosen), train, val, ("attempts", "that succeeded"))
+        chosen = chosen[: teaching + measuring]
         check_alike(chosen)
-        return cls(chosen[:train], chosen[train:])
+        return cls(chosen[:teaching], chosen[teaching:])
 
 
 def check_alike(attempts: Sequence[Attempt]) -> None:
