@@ -17,7 +17,7 @@ import pytest
 import torch
 import yaml
 from accelerate import Accelerator
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from baggie.data.annotation import goal_of
@@ -377,14 +377,16 @@ def test_the_published_recipe_runs(tmp_path):
 
 
 @given(st.integers(2, 600))
+@example(2)
+@example(250)
 def test_of_what_there_is_four_fifths_teach_and_one_fifth_measures(there):
     train, val = shares(there, None, None, ("attempts", "that succeeded"))
     assert train <= USUAL_TRAIN
     assert val <= USUAL_VAL
-    assert 1 <= val <= train or there == 2
+    assert 1 <= val <= train
     assert train + val == min(there, USUAL_TRAIN + USUAL_VAL)
     if there <= 250:
-        assert abs(train - 0.8 * there) <= 0.5
+        assert abs(train - 0.8 * there) < 0.7
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(0, 300))

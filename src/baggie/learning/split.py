@@ -26,7 +26,7 @@ def shares(there: int, train: int | None, val: int | None, names: tuple[str, str
     if (train is not None and train < 1) or (val is not None and val < 0):
         raise DataError(f"train must be at least 1 and val at least 0, got {train} and {val}")
     if train is None and val is None and 1 < there < USUAL_TRAIN + USUAL_VAL:
-        train = round(_SHARE * there)
+        train = min(round(_SHARE * there), there - 1)
     teaching = train if train is not None else min(USUAL_TRAIN, max(there - (val or 0), 1))
     measuring = val if val is not None else min(USUAL_VAL, max(there - teaching, 1))
     if there < teaching + measuring:

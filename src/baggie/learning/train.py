@@ -61,11 +61,6 @@ def train(
     recorded = open_dataset(options.data) if attempts is None else attempts
     of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
-    if None in (options.train, options.val) and accelerator.is_main_process:
-        train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
-        Console(stderr=True).print(
-            f"learning from {train} attempts, measuring on {val} others (--train and --val say how many)"
-        )
     torch.manual_seed(options.seed)
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = recipe.steps if options.steps is None else options.steps
@@ -76,6 +71,11 @@ def train(
         Console(stderr=True).print(note)
         finished: dict[str, Any] = read_json(options.out / METRICS)
         return finished
+    if None in (options.train, options.val) and accelerator.is_main_process:
+        train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
+        Console(stderr=True).print(
+            f"learning from {train} attempts, measuring on {val} others (--train and --val say how many)"
+        )
     training = Training(
         recipe,
         options.out,
