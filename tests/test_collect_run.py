@@ -369,6 +369,19 @@ def test_one_arm_is_not_shared_by_workers(tmp_path):
         collect(CollectOptions(out=tmp_path / "data", workcell=file, workers=2))
 
 
+def test_one_arm_has_one_worker_unless_told_otherwise(tmp_path, monkeypatch):
+    file, asked = tmp_path / "cell.yaml", []
+    file.write_text("arm: {kind: franka, host: 192.0.2.1}\ncamera: 0\n")
+
+    def stream_and_note(open_worker, tasks, workers, answer):
+        asked.append(workers)
+        return stream_here(open_worker, tasks, workers, answer)
+
+    monkeypatch.setattr(module, "stream_in_processes", stream_and_note)
+    collect(CollectOptions(out=tmp_path / "data", workcell=file, attempts=1), open_fake)
+    assert asked == [1]
+
+
 def test_a_workcell_file_is_read_once(reference, tmp_path, monkeypatch):
     file, reads, read = tmp_path / "cell.yaml", [], Path.read_bytes
     file.write_text(f"arm: {{kind: replay, recording: {reference}}}\n")

@@ -69,7 +69,10 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
             (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
             worker = _worker(options, open_cell, image_to_robot)
             attended = not simulated and is_attended()
-            rate = _record(options, worker, writer, console, patience=patience, attended=attended)
+            workers = options.workers or ((os.cpu_count() or 1) if robot == SIMULATED else 1)
+            rate = _record(
+                options, worker, writer, console, workers=workers, patience=patience, attended=attended
+            )
         except KeyboardInterrupt:
             recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
             raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
@@ -122,6 +125,7 @@ def _record(
     writer: DatasetWriter,
     console: Console,
     *,
+    workers: int,
     patience: Patience,
     attended: bool,
 ) -> float | None:
@@ -131,7 +135,6 @@ def _record(
         return None
     done, good, start = 0, 0, time.monotonic()
     recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
-    workers = options.workers or os.cpu_count() or 1
 
     with progress_bar("collecting", options.attempts, recorded, console) as advance:
         person = functools.partial(_ask, console, advance) if attended else None

@@ -60,9 +60,9 @@ def what_opens(options: CollectOptions) -> tuple[OpenCell, str, dict[str, Any]]:
     from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
     written = read_workcell_file(options.workcell)
-    if isinstance(written.arm, REAL_ARMS) and options.workers != 1:
+    if isinstance(written.arm, REAL_ARMS) and options.workers not in (None, 1):
         raise BaggieError(
-            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers or 'all cores'}"
+            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers}"
         )
     table = written.model_dump(mode="json", include={"bag", "workspace"})
     opener = functools.partial(open_written_cell, written, options.workcell)

@@ -39,7 +39,7 @@ class CollectOptions(Options):
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
     workers: Workers | None = None
-    """Processes, each with a workcell of its own; as many as there are cores unless given."""
+    """Processes, each with a workcell of its own; as many as there are cores unless given, or one with a real arm."""
     wait: NotNegative = 0.0
     """On a real arm: how many minutes to wait for help where nobody is at the terminal to be asked for it."""
 
