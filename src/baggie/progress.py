@@ -1,24 +1,46 @@
-"""The progress bar that everything long shows on stderr."""
+"""The progress that everything long shows on stderr: a bar on a terminal, now and then a line where there is none."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+LINE_S = 60.0
+"""Seconds between lines in a log file, or wherever else no bar can be drawn."""
 
 
 class ProgressBar:
-    """A bar that is on the terminal."""
+    """How far a piece of work is."""
 
-    def __init__(self, progress: Progress, total: int, done: int) -> None:
-        self._progress = progress
-        self._bar = progress.add_task("", total=total, completed=done, note="")
+    def __init__(self, progress: Progress, bar: TaskID) -> None:
+        self._progress, self._bar = progress, bar
+        self._said_at = time.monotonic()
 
-    def __call__(self, note: str = "") -> None:
-        """A piece of work is done; with or without a note to show beside the bar."""
-        self._progress.update(self._bar, advance=1, note=note)
+    def __call__(self, note: str = "", steps: int = 1) -> None:
+        """`steps` of the work are done; with or without a note to show beside the bar."""
+        self._progress.update(self._bar, advance=steps)
+        if note:
+            self._progress.update(self._bar, note=note)
+        console = self._progress.console
+        if (
+            not console.is_terminal
+            and not self._progress.disable
+            and time.monotonic() - self._said_at >= LINE_S
+        ):
+            self._said_at = time.monotonic()
+            console.print(self._line(), markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -29,15 +51,40 @@ class ProgressBar:
         finally:
             self._progress.start()
 
+    def _line(self) -> str:
+        task = next(task for task in self._progress.tasks if task.id == self._bar)
+        left = task.time_remaining
+        words = [f"{task.description} {task.completed:.0f}/{task.total:.0f}", task.fields["note"]]
+        words += [] if left is None else [f"{_in_words(left)} left"]
+        return ", ".join(filter(None, words))
+
+
+def _in_words(seconds: float) -> str:
+    minutes = seconds / 60
+    return (
+        f"{minutes / 60:.1f} h"
+        if minutes >= 90
+        else f"{minutes:.0f} min"
+        if minutes >= 2
+        else f"{seconds:.0f} s"
+    )
+
 
 @contextmanager
 def progress_bar(
-    doing: str, total: int, done: int = 0, console: Console | None = None
+    doing: str, total: int, done: int = 0, console: Console | None = None, *, shown: bool = True
 ) -> Iterator[ProgressBar]:
     """A bar from `done` to `total` with an estimate while open, on stderr unless another console is given.
 
-    Call what it gives after every piece of work.
+    Call what it gives after every piece of work. Where nothing can be drawn, there is a line a minute instead.
     """
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-    with Progress(TextColumn(doing), *columns, console=console or Console(stderr=True)) as progress:
-        yield ProgressBar(progress, total, done)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console or Console(stderr=True), disable=not shown) as progress:
+        yield ProgressBar(progress, progress.add_task(doing, total=total, completed=done, note=""))

@@ -12,16 +12,6 @@ from typing import Any
 
 import numpy as np
 from accelerate import Accelerator
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
@@ -30,6 +20,7 @@ from baggie.learning.background import deferred_interrupt, flushed_denormals, pr
 from baggie.learning.recipe import Batch, Recipe
 from baggie.learning.state import Every, State
 from baggie.policies.learned import LearnedPolicy
+from baggie.progress import progress_bar
 
 _LOGGED = 200
 """Points in a loss curve."""
@@ -85,20 +76,25 @@ class Training:
         state = self._state
         with (
             SummaryWriter(str(self.folder), purge_step=state.step) as board,
-            _progress(self._accelerator) as progress,
+            progress_bar(
+                f"training {self.policy.name}",
+                self.steps,
+                state.step,
+                shown=self._accelerator.is_main_process,
+            ) as advance,
             deferred_interrupt() as interrupted,
             flushed_denormals(),
         ):
-            bar = progress.add_task(self.policy.name, total=self.steps, completed=state.step, loss="")
             began = time.monotonic() - state.seconds
             for batch in prefetched(self._batch, range(state.step, self.steps), self._makers):
                 loss, parts = self._step(batch)
                 state.seconds = time.monotonic() - began
                 stopped = self._by_any(interrupted) and state.step < self.steps
                 if self._accelerator.is_main_process:
-                    progress.update(bar, completed=state.step)
-                    if state.step % max(1, self.steps // _LOGGED) == 0:
-                        self._log(board, progress, bar, loss, parts)
+                    logged = state.step % max(1, self.steps // _LOGGED) == 0
+                    advance(f"loss {loss.item():.3f}" if logged else "")
+                    if logged:
+                        self._log(board, loss, parts)
                     if state.step % max(1, self.steps // _MEASURED) == 0:
                         self._log_validation(board, judge(self.policy))
                     if stopped or state.step == self.steps or self._save_now():
@@ -140,10 +136,7 @@ class Training:
         self._state.step += 1
         return loss.detach(), parts
 
-    def _log(
-        self, board: SummaryWriter, progress: Progress, bar: TaskID, loss: Tensor, parts: dict[str, Tensor]
-    ) -> None:
-        progress.update(bar, loss=f"loss {loss.item():.3f}")
+    def _log(self, board: SummaryWriter, loss: Tensor, parts: dict[str, Tensor]) -> None:
         for name, value in {"loss": loss, **parts}.items():
             board.add_scalar(f"train/{name}", value.item(), self._state.step)
 
@@ -161,16 +154,3 @@ def _averaging(steps: int) -> Callable[[Tensors, Tensors, Tensor | int], None]:
     average: Callable[[Tensors, Tensors, Tensor | int], None]
     average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # untyped in torch
     return average
-
-
-def _progress(accelerator: Accelerator) -> Progress:
-    return Progress(
-        TextColumn("training {task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[loss]}"),
-        console=Console(stderr=True),
-        disable=not accelerator.is_main_process,
-    )
