@@ -41,7 +41,7 @@ class IntrinsicsOptions(LiveOptions):
     name: str | None = None
     """The camera's name, which a workcell must repeat; that of the camera or the folder unless given."""
     factory: Path | None = None
-    """Take the manufacturer's values instead: a ROS camera_info, a RealSense or an OpenCV file."""
+    """Take the manufacturer's values instead: a ROS camera_info, a RealSense, an OpenCV or an mrcal file."""
 
 
 def calibrate_intrinsics(options: IntrinsicsOptions) -> dict[str, Any]:
