@@ -77,7 +77,7 @@ def test_a_seed_draws_what_it_always_drew(draw: Callable[[Rng], object], then: t
         (lambda rng: lay_bags(Rectangle(0.4, 0.43, 0.0, 0.3), [], two=False, rng=rng), "make it larger"),
         (
             lambda rng: board_in_view(
-                draw_cell(0), parse_target("charuco:70x50:0.030:0.021:DICT_4X4_1000"), 0, rng
+                draw_cell(0), parse_target("charuco:50x40:0.042:0.030:DICT_4X4_1000"), 0, rng
             ),
             "take a smaller board",
         ),

@@ -238,8 +238,8 @@ def parse_target(spec: str) -> Target:
             count = len(_dictionary(board.dictionary).bytesList)
             _check(
                 board.markers <= count,
-                f"a dictionary of at least {board.markers} markers for {columns}x{rows} squares, such as DICT_4X4_250; "
-                f"{board.dictionary} has {count}",
+                f"a dictionary of at least {board.markers} markers for {columns}x{rows} squares, of which the largest "
+                f"have 1000; {board.dictionary} has {count}",
             )
             return board
         if kind == "chessboard" and len(words) == 2:
