@@ -617,6 +617,26 @@ def test_the_drawn_board_is_where_it_should_be():
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.01
 
 
+@pytest.mark.parametrize("blur", [0.6, 1.2])
+def test_a_marker_is_as_large_as_it_is_however_blurred_and_bent(blur):
+    """Its distance is found from its size: 1 mm at 1 m is a thousandth."""
+    marker = parse_target("aruco:DICT_4X4_50:7:0.08")
+    rng = np.random.default_rng(4)
+    off, larger = [], []
+    for _ in range(12):
+        pose = random_pose(marker, TRUE, rng, near=0.25)
+        true = TRUE.project(transform_points(pose, marker.points))
+        seen = marker.detect(render_board(marker, pose, TRUE, rng, blur=blur))
+        sides, true_sides = (
+            np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).mean() for c in (seen.pixels, true)
+        )
+        off.append(seen.pixels - true)
+        larger.append(sides / true_sides - 1)
+    assert np.sqrt((np.array(off) ** 2).sum(axis=2).mean()) < 0.06
+    assert abs(np.mean(larger)) < 0.5e-3
+    assert np.abs(larger).max() < 1.5e-3
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Twelve pictures at 640 x 360 of a moving board, and one of the empty table."""

@@ -1,4 +1,4 @@
-"""The straight sides of an evenly coloured quadrilateral, to a small part of a pixel."""
+"""The sides of an evenly coloured quadrilateral, straight or bent by a lens, to a small part of a pixel."""
 
 from __future__ import annotations
 
@@ -21,6 +21,16 @@ _ROUGH, _FINE_PX = 0.14, 6.0
 """How far to look on both sides of an edge: first this share of the shortest side, then this many pixels."""
 _LEAST_CONTRAST = 12.0
 """Grey levels between card and surroundings (the norm over R, G and B) for an edge to count."""
+_CLEAR = 0.75
+"""Of what is even around a bent side, how much is looked at."""
+_LEAST_REACH_PX = 1.5
+"""Less far on both sides of an edge there is nothing but its blur."""
+_ROUNDS = 2
+"""Of looking across bent sides, from where they were found the time before."""
+_OUTLIER, _NOISE_PX = 4.5, 0.02
+"""Points further from a bent side than so many times the median, or the noise, are not of it."""
+_MEETING_STEPS = 5
+"""Of Newton's method, to where two nearly straight sides meet."""
 _STRAIGHT_PX = 1.0
 """From the line, for a point to lie on it: without anti-aliasing an edge is a staircase of whole pixels."""
 
@@ -61,6 +71,71 @@ def refine_sides(image: Image, corners: FloatArray, color: FloatArray) -> Sides 
             return None
         corners = met[:, :2] / met[:, 2:]
     return Sides(corners, straight)
+
+
+def refine_bent_sides(image: Image, corners: FloatArray, even: float) -> FloatArray | None:
+    """Corners `(4, 2)` (u, v) of a picture moved to where the sides near them meet, each side a parabola, as lenses
+    bend straight lines; None where a side is not to be seen.
+
+    `even`: how far to both sides of its edge the square and its surroundings are of one colour each, in sides. At
+    corners themselves blur draws whatever is found towards the inside (`cv2.cornerSubPix`: 0.2 to 0.3 px).
+    """
+    picture = np.atleast_3d(image).astype(np.float32)
+    for _ in range(_ROUNDS):
+        shortest = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min())
+        reach = min(_FINE_PX, _CLEAR * even * shortest)
+        if reach < _LEAST_REACH_PX:
+            return None
+        sides = [_bent_side(picture, corners, number, reach) for number in range(4)]
+        found = [side for side in sides if side is not None]
+        if len(found) < 4:
+            return None
+        corners = np.array([_meeting(found[k - 1], found[k], corners[k]) for k in range(4)])
+    return corners
+
+
+@dataclass(frozen=True)
+class _BentSide:
+    """Points `start + t way + (c0 t^2 + c1 t + c2) outwards`, t from 0 to 1."""
+
+    start: FloatArray
+    way: FloatArray
+    outwards: FloatArray
+    bend: FloatArray
+
+    def off(self, point: FloatArray) -> tuple[float, FloatArray]:
+        """How far outside of it a point is, pixels, and how that grows with the point."""
+        along = self.way / (self.way @ self.way)
+        t = float((point - self.start) @ along)
+        away = float((point - self.start) @ self.outwards - np.polyval(self.bend, t))
+        return away, self.outwards - float(np.polyval(np.polyder(self.bend), t)) * along
+
+
+def _bent_side(
+    picture: NDArray[np.float32], corners: FloatArray, number: int, reach: float
+) -> _BentSide | None:
+    start, end = corners[number], corners[(number + 1) % 4]
+    outwards = _outwards(start, end, corners.mean(axis=0))
+    across = np.arange(-reach, reach + _STEP / 2, _STEP)[:, None] * outwards
+    points = _edge_points(picture, _along(start, end), across, None)
+    if len(points) < _POINTS // 2:
+        return None
+    way = end - start
+    t, away = (points - start) @ way / (way @ way), (points - start) @ outwards
+    on_it = np.ones(len(points), bool)
+    for _ in range(3):
+        bend = np.polyfit(t[on_it], away[on_it], 2)
+        off = np.abs(away - np.polyval(bend, t))
+        on_it = off < max(_OUTLIER * float(np.median(off)), _NOISE_PX)
+    return _BentSide(start, way, outwards, bend)
+
+
+def _meeting(first: _BentSide, second: _BentSide, near: FloatArray) -> FloatArray:
+    """The point `(2,)` on both sides, near a point."""
+    for _ in range(_MEETING_STEPS):
+        (away, grows), (other_away, other_grows) = first.off(near), second.off(near)
+        near = near - np.linalg.solve(np.array([grows, other_grows]), np.array([away, other_away]))
+    return near
 
 
 def _outwards(start: FloatArray, end: FloatArray, middle: FloatArray) -> FloatArray:

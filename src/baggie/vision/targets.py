@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
+from baggie.vision.edges import refine_bent_sides
 from baggie.vision.saddle import refine_saddles
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""
+_MAX_MOVE_PX = 1.5
+"""A marker's corner that would move further is left where it was: something else is there."""
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
 """Within which a corner is looked for again."""
 
@@ -206,9 +209,12 @@ class Marker:
         matches = [] if ids is None else np.flatnonzero(ids.ravel() == self.number)
         if len(matches) != 1:
             return None
-        return Seen(
-            np.arange(4, dtype=np.int64), np.asarray(corners[matches[0]], float).reshape(4, 2), self.points
-        )
+        found = np.asarray(corners[matches[0]], float).reshape(4, 2)
+        cell = 1 / (_dictionary(self.dictionary).markerSize + 2)  # its black border, and the white around it
+        better = refine_bent_sides(image, found, cell)
+        if better is not None and np.linalg.norm(better - found, axis=1).max() < _MAX_MOVE_PX:
+            found = better
+        return Seen(np.arange(4, dtype=np.int64), found, self.points)
 
     def why_not(self, image: Image) -> str:
         """Seen twice, another marker or dictionary, a mirrored picture, or nothing at all."""
