@@ -265,8 +265,13 @@ def test_another_version_says_what_to_install() -> None:
 
         def answer_as_a_panda() -> None:
             client, _ = listening.accept()
-            command, number, _size = struct.unpack("<3I", client.recv(12))
-            client.sendall(struct.pack("<3IBH5x", command, number, 20, 1, 5))
+            with client:
+                command, number, size = struct.unpack("<3I", client.recv(12, socket.MSG_WAITALL))
+                client.recv(
+                    size - 12, socket.MSG_WAITALL
+                )  # closed with something unread, it would take its answer back
+                client.sendall(struct.pack("<3IBH5x", command, number, 20, 1, 5))
+                client.recv(1)  # until the other side has read it
 
         threading.Thread(target=answer_as_a_panda, daemon=True).start()
         with pytest.raises(
