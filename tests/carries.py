@@ -13,7 +13,7 @@ from baggie.workcell.workcell import Workcell
 
 SLACK_RAD = math.pi / 2 + 0.01
 """By so much more at most does a hand turn whose limits make it begin with the other half turn: up to half a turn
-instead of a quarter. An arm foresees its turns to the last term."""
+instead of a quarter, and a hundredth that arms foresee less exactly."""
 
 
 def carries_in(area: Rectangle) -> st.SearchStrategy[PickPlace]:

@@ -670,7 +670,7 @@ def test_a_board_whose_squares_were_counted_wrong_is_told_how_it_is():
 
 
 def test_a_board_with_more_markers_than_its_dictionary_is_refused_when_it_is_named():
-    with pytest.raises(BaggieError, match=r"at least 70 markers for 14x10 squares.* DICT_4X4_50 has 50"):
+    with pytest.raises(BaggieError, match=r"14x10.* needs 70 markers and DICT_4X4_50 has 50"):
         parse_target("charuco:14x10:0.010:0.007:DICT_4X4_50")
     assert parse_target("charuco:14x10:0.010:0.007:DICT_4X4_100").markers == 70
 

@@ -267,9 +267,8 @@ def test_another_version_says_what_to_install() -> None:
             client, _ = listening.accept()
             with client:
                 command, number, size = struct.unpack("<3I", client.recv(12, socket.MSG_WAITALL))
-                client.recv(
-                    size - 12, socket.MSG_WAITALL
-                )  # closed with something unread, it would take its answer back
+                # With something left unread, closing would take the answer back.
+                client.recv(size - 12, socket.MSG_WAITALL)
                 client.sendall(struct.pack("<3IBH5x", command, number, 20, 1, 5))
                 client.recv(1)  # until the other side has read it
 

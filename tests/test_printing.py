@@ -164,6 +164,8 @@ def test_nonsense_is_refused_in_one_line(tmp_path: Path) -> None:
         print_target(BOARD, path, "Letter")
     with pytest.raises(BaggieError, match="metres"):
         print_goal_card(path, 130.0)
+    with pytest.raises(BaggieError, match="take a larger dictionary"):
+        print_target(Charuco(14, 10, 0.01, 0.007, "DICT_4X4_50"), path)
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
         print_target(BOARD, tmp_path / "file" / "board.pdf")

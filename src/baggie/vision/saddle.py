@@ -18,7 +18,7 @@ _BLUR_PX = 1.0
 _ROUNDS = 3
 _REMAP_STEPS = 32
 """Of `cv2.remap`, a pixel (`INTER_TAB_SIZE`)."""
-_MAX_MOVE_PX = 1.5
+MAX_MOVE_PX = 1.5
 """A corner that would move further is left where it was: something else is there."""
 
 
@@ -46,5 +46,5 @@ def refine_saddles(grey: NDArray[np.uint8], corners: FloatArray, radius: int) ->
             / np.where(settled, determinant, -1.0)[:, None]
         )
         found = found + np.where(settled[:, None], np.clip(steps, -1.0, 1.0), 0.0)
-    settled &= np.linalg.norm(found - corners, axis=1) < _MAX_MOVE_PX
+    settled &= np.linalg.norm(found - corners, axis=1) < MAX_MOVE_PX
     return np.where(settled[:, None], found, corners)

@@ -20,12 +20,10 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
 from baggie.vision.edges import refine_bent_sides
-from baggie.vision.saddle import refine_saddles
+from baggie.vision.saddle import MAX_MOVE_PX, refine_saddles
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""
-_MAX_MOVE_PX = 1.5
-"""A marker's corner that would move further is left where it was: something else is there."""
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
 """Within which a corner is looked for again."""
 
@@ -75,6 +73,15 @@ class Charuco:
     dictionary: str
     legacy: bool = False
     """As OpenCV before 4.6 laid out boards with an even number of rows: a marker in the top left square."""
+
+    def __post_init__(self) -> None:
+        """Raise `BaggieError` where its dictionary has too few markers for it."""
+        count = len(_dictionary(self.dictionary).bytesList)
+        if self.markers > count:
+            raise BaggieError(
+                f"{self.spec} needs {self.markers} markers and {self.dictionary} has {count}; take a larger dictionary "
+                "(the largest have 1000, as DICT_4X4_1000 has), or fewer squares"
+            )
 
     @property
     def spec(self) -> str:
@@ -212,7 +219,7 @@ class Marker:
         found = np.asarray(corners[matches[0]], float).reshape(4, 2)
         cell = 1 / (_dictionary(self.dictionary).markerSize + 2)  # its black border, and the white around it
         better = refine_bent_sides(image, found, cell)
-        if better is not None and np.linalg.norm(better - found, axis=1).max() < _MAX_MOVE_PX:
+        if better is not None and np.linalg.norm(better - found, axis=1).max() < MAX_MOVE_PX:
             found = better
         return Seen(np.arange(4, dtype=np.int64), found, self.points)
 
@@ -241,12 +248,6 @@ def parse_target(spec: str) -> Target:
             _check(board.columns >= 2 and board.rows >= 2, "at least 2 x 2 squares")
             _check(0 < board.marker_m < board.square_m, "markers smaller than the squares, both above 0")
             _check(board.square_m < 1, "sizes in metres, squares under 1 m")
-            count = len(_dictionary(board.dictionary).bytesList)
-            _check(
-                board.markers <= count,
-                f"a dictionary of at least {board.markers} markers for {columns}x{rows} squares, of which the largest "
-                f"have 1000; {board.dictionary} has {count}",
-            )
             return board
         if kind == "chessboard" and len(words) == 2:
             chessboard = Chessboard(*_grid(words[0]), float(words[1]))

@@ -121,9 +121,8 @@ def to_intrinsics(lens: Any) -> Intrinsics:
     if lens.model in (rs.distortion.none, rs.distortion.brown_conrady) or not any(lens.coeffs):
         return opencv_intrinsics(size, matrix, lens.coeffs, "brown_conrady")
 
-    def pixel(
-        ray: FloatArray,
-    ) -> FloatArray:  # the other way round, a modified Brown-Conrady is passed over in silence
+    # The other way round, from pixels to rays, a modified Brown-Conrady is left out without a word.
+    def pixel(ray: FloatArray) -> FloatArray:
         return np.array(rs.rs2_project_point_to_pixel(lens, [*ray, 1.0]))
 
     return fit_distortion(size, matrix, pixel)
