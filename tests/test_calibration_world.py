@@ -340,7 +340,10 @@ def test_a_wrong_touch_is_named_and_does_no_harm(seed: int, size_m: float) -> No
     assert len(dropped) <= 2  # of six right ones the noisiest goes with it in one of 500 cells
     assert found.touches[wrong].residual_mm == pytest.approx(size_m * 1000, abs=2)
     assert any(f"touch {wrong} " in warning for warning in found.warnings)
-    assert difference(found.pose.transform, invert_transform(truth))[0] < 0.005
+    off_m = difference(found.pose.transform, invert_transform(truth))[0]
+    assert off_m < (
+        0.003 if dropped == [str(wrong)] else 0.005
+    )  # by one touch less the pose is known less well
 
 
 def test_left_out_touches_are_predicted_worse_than_those_fitted() -> None:
