@@ -60,7 +60,19 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A workcell file that opens a lab in a process of its own."""
     path = tmp_path_factory.mktemp("lab") / "cell.yaml"
     host = f"127.1.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
-    words = ["lab", "--host", host, "--camera-port", "0", "--pace", "0", "--out", str(path)]
+    words = [
+        "lab",
+        "--host",
+        host,
+        "--camera-port",
+        "0",
+        "--pace",
+        "0",
+        "--out",
+        str(path),
+        "--size",
+        "640x480",
+    ]
     lab = subprocess.Popen(
         [*ENDS_WITH_US, sys.executable, "-m", "baggie", *words], stdout=subprocess.PIPE, text=True
     )

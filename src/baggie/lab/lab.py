@@ -17,7 +17,7 @@ from baggie.lab.darkroom import Darkroom, Moment
 from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.sim.bag import BagParameters
-from baggie.sim.cell import draw_cell
+from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.layout import lay_bags
 from baggie.sim.sensor import Exposure
 from baggie.sim.world import World
@@ -36,18 +36,21 @@ T = TypeVar("T")
 class Lab:
     """Table, bag, camera and robot. `run` makes time pass; whatever else touches them does so between its ticks."""
 
-    def __init__(self, cell: int, seed: int, host: str, pace: float) -> None:
+    def __init__(
+        self, cell: int, seed: int, host: str, pace: float, picture_size: tuple[int, int] = PICTURE_SIZE
+    ) -> None:
         """`pace`: how many times as fast as real time it may go, 0 for as fast as it can while the arm is at work.
 
-        Raises `BaggieError` where the robot's ports at `host` cannot be had.
+        `picture_size`: `(width, height)` of its camera's pictures, pixels. Raises `BaggieError` where the robot's ports
+        at `host` cannot be had, and for pictures that cannot be drawn.
         """
         self.host = host
         self.settings = WorkcellSettings()
-        self.world = World(draw_cell(cell), BagParameters())
+        self.world = World(draw_cell(cell, picture_size), BagParameters())
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
-        self.darkroom = Darkroom(cell)
+        self.darkroom = Darkroom(cell, picture_size)
         self._pace = pace
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._later: list[tuple[float, Callable[[], None]]] = []

@@ -48,6 +48,8 @@ PADDLE_RADIUS_M = 0.025
 # hand would cover it if it were nearer, and it would leave the picture if it were further away.
 T_HAND_PLATE = rigid([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.13, 0, 0])
 CARD_SIZE_M = 0.13
+_LARGEST_FILM = (1280, 720)
+"""`(width, height)` pixels that there is room for, besides the camera's own pictures."""
 ARM = "arm_"  # prefix of everything that belongs to the arm
 Tool = Literal["hand", "cup"]
 
@@ -55,7 +57,7 @@ _WORLD = """
 <mujoco model="baggie">
   <option timestep="{timestep}" integrator="discrete" solver="Newton" cone="pyramidal" impratio="10" tolerance="1e-6"/>
   <visual>
-    <global offwidth="1280" offheight="720"/>
+    <global offwidth="{widest}" offheight="{highest}"/>
     <quality shadowsize="1024" offsamples="0"/>
     <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.15 0.15 0.15" specular="0 0 0"/>
     <map znear="0.1" zfar="20"/>
@@ -118,6 +120,8 @@ def scene_spec(cell: Cell, assets: str, things: str, tool: Tool = "hand") -> muj
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
+        widest=max(_LARGEST_FILM[0], cell.lens.size[0]),
+        highest=max(_LARGEST_FILM[1], cell.lens.size[1]),
         table_height=TABLE_HEIGHT_M,
         floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
         card=CARD_SIZE_M / 2,

@@ -98,14 +98,15 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, SimulatedEntry):
         if "handling" not in written.model_fields_set:
             settings = replace(settings, handling=SIMULATED_HANDLING)
-        return SimulatedWorkcell(written.cell, settings, bag)
+        return SimulatedWorkcell(written.cell, settings, bag, picture_size=written.picture_size)
     arm = _open_arm(entry, path.parent)
     if settings.handling.open_width_m > arm.info.max_width_m:
         raise BaggieError(
             f"{path}: handling.open_width_m is {settings.handling.open_width_m:g}, the gripper of {arm.info.name} "
             f"opens to {arm.info.max_width_m:g}; lower it"
         )
-    return RealWorkcell(arm, open_camera(written.camera or CameraSettings()), settings)
+    assert isinstance(written.camera, CameraSettings)  # or the file would have been refused
+    return RealWorkcell(arm, open_camera(written.camera), settings)
 
 
 def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> Arm:
