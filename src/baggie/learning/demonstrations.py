@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,13 @@ from baggie.data.annotation import shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray
 from baggie.grid import Grid
+from baggie.learning.carried import Carried, place_of
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.types import Attempt
 
 _NOT_TURNED_RAD = 1e-6
+_MOST = 0.5
+"""Of the demonstrations: where the maps tell of so many what was carried, they can tell it of all."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Demonstrations:
     cell: int = 0
     goal_input: GoalInput | None = None
     """How goals are painted into the colours; None for a task that marks none."""
+    carried: Sequence[Carried | None] = ()
+    """N, what each carried; None where the maps do not tell. None at all unless given."""
 
     def __post_init__(self) -> None:
         count = len(self.poses)
@@ -43,6 +49,8 @@ class Demonstrations:
             "poses": (self.poses.shape, (count, 6)),
             "symmetry": (self.symmetry.shape, (count,)),
         }
+        if self.carried:
+            shapes["carried"] = ((len(self.carried),), (count,))
         for name, (came, expected) in shapes.items():
             if came != expected or count == 0:
                 raise DataError(f"expected {name} of shape {expected}, at least one, got {came}")
@@ -60,10 +68,58 @@ class Demonstrations:
                 f"{self.poses[number, 3:5].round(4).tolist()}; leave it out, or fuse over a larger grid"
             )
 
+    def only_carried(self, carried: Sequence[Carried | None]) -> Demonstrations:
+        """Those in which something was carried, and what; where the maps tell it of most, the rest went wrong.
+
+        `carried`: N. All of them where the maps tell it of few.
+        """
+        known = np.array([each is not None for each in carried])
+        keep = known if known.mean() > _MOST else np.ones_like(known)
+        return replace(
+            self,
+            colors=self.colors[keep],
+            heights=self.heights[keep],
+            poses=self.poses[keep],
+            symmetry=self.symmetry[keep],
+            carried=[each for each, kept in zip(carried, keep, strict=True) if kept],
+        )
+
+    def by_the_thing(self) -> Demonstrations:
+        """The same carries by a suction cup, each picked where it holds the thing best, and placed accordingly.
+
+        Where somebody happened to pick says nothing, as a cup holds a thing anywhere where it is level; so what is
+        taught is the thing. Fingers, and things with a hole, are picked as they were.
+        """
+        if self.turned_to_pick or not self.carried:
+            return self
+        poses = self.poses.copy()
+        for number, carried in enumerate(self.carried):
+            point = None if carried is None else carried.cup_point(self.heights[number])
+            if point is None:
+                continue
+            place = place_of(point, self.places[number], poses[number, 5] - poses[number, 2])
+            rows, columns = self.grid.shape
+            if ((place >= 0) & (place <= [columns - 1, rows - 1])).all():
+                poses[number, [0, 1, 3, 4]] = self.grid.to_robot([point, place]).ravel()
+        return replace(self, poses=poses)
+
     @property
     def common_symmetry(self) -> int:
         """How often a turn everything that was picked looks the same: the greatest common divisor; 0 divides by all."""
         return int(np.gcd.reduce(self.symmetry))
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """`(N, 2, 2)`: pick and place, (u, v) pixels."""
+        return self.grid.to_pixels(self.poses[:, [0, 1, 3, 4]].reshape(-1, 2)).reshape(-1, 2, 2)
+
+    @cached_property
+    def middles(self) -> FloatArray:
+        """`(N, 2)` (u, v) pixels: of what was picked; the pick itself where the maps do not tell."""
+        if not self.carried:
+            return self.places[:, 0]
+        known = zip(self.carried, self.places[:, 0], strict=True)
+        return np.stack([pick if carried is None else carried.middle for carried, pick in known])
 
     @property
     def turned_to_pick(self) -> bool:
@@ -113,7 +169,7 @@ def read_demonstrations(
         heights.append(before.height)
     assert grid is not None
     poses = np.stack([attempt.commanded.to_array() for attempt in attempts])
-    return Demonstrations(
+    shown = Demonstrations(
         np.stack(colors),
         np.stack(heights).astype(np.float32),
         poses,
@@ -122,6 +178,16 @@ def read_demonstrations(
         cell,
         goal_input,
     )
+    carried = [_carried(attempt, places) for attempt, places in zip(attempts, shown.places, strict=True)]
+    return shown.only_carried(carried) if any(carried) else shown
+
+
+def _carried(attempt: Attempt, places: FloatArray) -> Carried | None:
+    after, action = attempt.after, attempt.commanded
+    if after is None or after.height is None:
+        return None
+    assert attempt.before.height is not None
+    return Carried.between(attempt.before.height, after.height, places, action.place.yaw - action.pick.yaw)
 
 
 def _symmetry(attempt: Attempt) -> int:

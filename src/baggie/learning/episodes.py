@@ -9,7 +9,12 @@ from baggie.data.annotation import did_its_task
 from baggie.learning.split import Split, check_alike, shares
 from baggie.types import Attempt
 
-RULE = "episodes that did their whole task, by attempt id: the first train, the next measure; of them what succeeded"
+RULE = (
+    "episodes that did their whole task, by attempt id: the first train, the next measure; of them what succeeded, and "
+    "what earned something where most steps did"
+)
+_MOST = 0.5
+"""So large a share of the steps that earned something means that every step is to."""
 
 
 def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
@@ -24,7 +29,7 @@ def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: i
     for attempt in attempts:
         alone = attempt.episode is None
         key = ("attempt", attempt.attempt_id) if alone else ("episode", attempt.episode or 0)
-        kept = replace(attempt, before=replace(attempt.before, depth=None), after=None)
+        kept = replace(attempt, before=replace(attempt.before, depth=None))
         episodes.setdefault(key, []).append(kept)
     teaching = [chosen for episode in episodes.values() if (chosen := _demonstration(episode))]
     train, val = shares(len(teaching), train, val, ("episodes", "that did their task"))
@@ -37,7 +42,18 @@ def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: i
 
 
 def _demonstration(episode: list[Attempt]) -> list[Attempt]:
-    """What of an episode can teach; nothing where the task was not done."""
+    """What of an episode can teach, each with what was seen after it; nothing where the task was not done.
+
+    A step that earned nothing among steps that earn went wrong. Where few earn anything, as where only the last one
+    can, all of them may have been needed.
+    """
     if not did_its_task(attempt.reward for attempt in episode):
         return []
-    return [attempt for attempt in episode if attempt.outcome.success]
+    following = [*(attempt.before for attempt in episode[1:]), None]
+    seen_after = [
+        attempt if attempt.after else replace(attempt, after=after)
+        for attempt, after in zip(episode, following, strict=True)
+    ]
+    worked = [attempt for attempt in seen_after if attempt.outcome.success]
+    earned = [attempt for attempt in worked if attempt.reward is None or not attempt.reward <= 0]
+    return earned if len(earned) >= _MOST * len(worked) else worked

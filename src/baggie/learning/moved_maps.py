@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.rearranged import Scene, rearranged, turn_about
-from baggie.learning.things import Things
+from baggie.learning.things import Things, place_belongs_to
 from baggie.types import Image
 
 _TRIES = 100
@@ -47,6 +47,8 @@ class MovedMap(NamedTuple):
     """`(2, 2)`: pick and place, (u, v) pixels."""
     yaws: FloatArray
     """`(2,)`: of pick and place, radians, from u towards v."""
+    middle: FloatArray
+    """`(2,)`: of what is picked, (u, v) pixels."""
 
 
 class MovedMaps:
@@ -55,10 +57,8 @@ class MovedMaps:
     def __init__(self, demonstrations: Demonstrations, moves: Moves, rearranged: float = 0.0) -> None:
         """`rearranged`: the share of samples in which everything that stands alone is moved by itself."""
         self._shown, self._moves, self._share = demonstrations, moves, rearranged
-        poses = demonstrations.poses
-        pixels = demonstrations.grid.to_pixels(poses[:, [0, 1, 3, 4]].reshape(-1, 2))
-        self._places: FloatArray = pixels.reshape(-1, 2, 2)
-        self._yaws: FloatArray = poses[:, [2, 5]]
+        self._places = demonstrations.places
+        self._yaws: FloatArray = demonstrations.poses[:, [2, 5]]
         # What comes in from outside looks like the table, which is most of every map.
         self._table_color = np.median(demonstrations.colors[:, ::4, ::4], axis=(1, 2))
         self._table_height = np.median(demonstrations.heights[:, ::4, ::4], axis=(1, 2))
@@ -85,20 +85,28 @@ class MovedMaps:
         return random_move(rng, places, (columns, rows), self._moves)
 
     def _rearranged(self, rng: np.random.Generator, number: int) -> MovedMap | None:
-        """None where nothing stands alone, or no room was found."""
-        places = self._places[number]
-        height = self._shown.heights[number]
+        """None where nothing stands alone, no room was found, or nothing tells what the place belongs to."""
+        places, color, height = self._places[number], self._shown.colors[number], self._shown.heights[number]
         things = Things.on(height)
         at = things.at(places)
+        carried = self._shown.carried[number] if self._shown.carried else None
+        if carried is not None:
+            turn = float(self._yaws[number] @ [-1, 1])
+            belongs = place_belongs_to(things, color, carried.moved(places, turn))
+            if belongs is None:
+                return None
+            at = np.array([things.under(carried.stood) or at[0], belongs])
         if not at.any():
             return None
-        scene = Scene(self._shown.colors[number], height, places, at)
+        scene = Scene(color, height, places, at)
         found = rearranged(rng, scene, things, self._random_move(rng, places[at == 0]))
         if found is None:
             return None
         turns = np.arctan2(found.moves[:, 1, 0], found.moves[:, 0, 0])
         there = [apply_homography(*each)[0] for each in zip(found.moves, places[:, None], strict=True)]
-        return MovedMap(found.color, found.height, np.stack(there), wrap_angle(self._yaws[number] + turns))
+        middle = apply_homography(found.moves[0], self._shown.middles[number])[0]
+        yaws = wrap_angle(self._yaws[number] + turns)
+        return MovedMap(found.color, found.height, np.stack(there), yaws, middle)
 
     def moved(self, number: int, move: FloatArray) -> MovedMap:
         """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels."""
@@ -123,6 +131,7 @@ class MovedMaps:
             np.asarray(height, np.float32),
             apply_homography(move, self._places[number]),
             wrap_angle(self._yaws[number] + turn),
+            apply_homography(move, self._shown.middles[number])[0],
         )
 
 

@@ -20,6 +20,8 @@ from baggie.types import Image
 
 _WHOLE = 0.95
 """So much of a thing has to stay on the map."""
+_MARGIN_PX = 2.0
+"""And what is picked, or where something is placed, at least so far inside."""
 _CROWDED = 0.3
 """Of what is put down, the share that comes close to something."""
 _CLOSE = 0.6, 1.2
@@ -68,7 +70,7 @@ def rearranged(
         table.keep_free(place, reach)
     moves = {0: table_move}
     for number in rng.permutation(things.count) + 1:
-        move = table.put(rng, layers, things.mask(int(number)))
+        move = table.put(rng, layers, things.mask(int(number)), scene.places[scene.at == number])
         if move is None:
             return None
         moves[int(number)] = move
@@ -92,19 +94,30 @@ class _Table:
         self._taken |= np.hypot(u - place[0], v - place[1]) <= reach_px
 
     def put(
-        self, rng: np.random.Generator, layers: NDArray[np.float32], mask: NDArray[np.uint8]
+        self,
+        rng: np.random.Generator,
+        layers: NDArray[np.float32],
+        mask: NDArray[np.uint8],
+        places: FloatArray,
     ) -> FloatArray | None:
-        """Put down what is under the mask in the layers; how it came there, or None where no try fits."""
+        """Put down what is under the mask in the layers; how it came there, or None where no try fits.
+
+        `places` `(N, 2)` (u, v) pixels on it stay on the map.
+        """
         rows, columns = mask.shape
+        last = np.array([columns - 1, rows - 1]) - _MARGIN_PX
         middle, reach = extent(mask)
         for _ in range(_TRIES):
             to = self._somewhere(rng, reach)
             move = turn_about(middle, rng.uniform(-math.pi, math.pi), to)
-            there = cv2.warpPerspective(mask, move, (columns, rows), flags=cv2.INTER_NEAREST)
-            whole = np.count_nonzero(there == 2) >= _WHOLE * np.count_nonzero(mask == 2)
-            if whole and not (self._taken & (there == 2)).any():
-                self._paste(layers, (mask > 0).astype(np.float32), move, cv2.boundingRect(there))
-                self._taken |= cv2.dilate((there == 2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            there = apply_homography(move, places) if len(places) else places
+            if not ((there >= _MARGIN_PX) & (there <= last)).all():
+                continue
+            moved = cv2.warpPerspective(mask, move, (columns, rows), flags=cv2.INTER_NEAREST)
+            whole = np.count_nonzero(moved == 2) >= _WHOLE * np.count_nonzero(mask == 2)
+            if whole and not (self._taken & (moved == 2)).any():
+                self._paste(layers, (mask > 0).astype(np.float32), move, cv2.boundingRect(moved))
+                self._taken |= cv2.dilate((moved == 2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
                 self._put.append((to, reach))
                 return move
         return None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray
+from baggie.types import Image
 
 _LOWEST_M = 0.004
 """Above the table, where a thing begins: height maps are noisy by a millimetre."""
@@ -18,6 +19,10 @@ _AROUND_PX = 6.0
 """So much of the table goes with a thing, because its shadow lies there."""
 _BELONGS_PX = 2.0
 """A label this near to a thing is the thing's."""
+_TOUCHES_PX = 3.0
+"""Beside what is this near, a thing was put with care."""
+_MARK, _MARKED = 40.0, 0.05
+"""Of 255: what differs so much from most of the table is a mark, where so large a share does."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +62,37 @@ class Things:
         near = off.min(axis=1) <= _BELONGS_PX
         return np.where(near, self.footprints[v, u][off.argmin(axis=1)], 0)
 
+    def under(self, mask: NDArray[np.bool_]) -> int:
+        """The thing that covers most of a mask `(H, W)`; 0 where none covers any of it."""
+        covered = np.bincount(self.footprints[mask], minlength=self.count + 1)
+        return int(covered[1:].argmax()) + 1 if covered[1:].any() else 0
+
     def mask(self, number: int) -> NDArray[np.uint8]:
         """`(H, W)`: 2 where a thing is, 1 around it, else 0."""
         around = (self.surroundings == number).astype(np.uint8)
         return np.asarray(around + (self.footprints == number), np.uint8)
+
+
+def place_belongs_to(things: Things, color: Image, lies: NDArray[np.bool_]) -> int | None:
+    """What a place moves with at which a thing comes to lie, on `lies` `(H, W)`: a thing, or the table, which is 0.
+
+    What it comes to lie on or beside, what encloses it; the table where something is marked on it there, in the colours
+    `(H, W, 3)`. None where nothing tells.
+    """
+    near = _grown(lies, _TOUCHES_PX)
+    touched = np.bincount(things.footprints[near], minlength=things.count + 1)[1:]
+    if touched.size and touched.max() >= _SMALLEST_PX / 2:
+        return int(touched.argmax()) + 1
+    bare = things.surroundings == 0
+    off = np.abs(color.astype(float) - np.median(color[bare], axis=0)).max(axis=2)
+    here = _grown(lies, _AROUND_PX) & bare
+    return 0 if here.any() and (off[here] > _MARK).mean() > _MARKED else None
+
+
+def _grown(mask: NDArray[np.bool_], by_px: float) -> NDArray[np.bool_]:
+    side = 2 * round(by_px) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return cv2.dilate(mask.astype(np.uint8), disc) > 0
 
 
 def extent(mask: NDArray[np.uint8]) -> tuple[FloatArray, float]:

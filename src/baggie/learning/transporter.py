@@ -15,6 +15,7 @@ from torch.optim import Adam, Optimizer
 
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import FloatArray, wrap_angle
+from baggie.learning.carried import rotation, with_turn
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.recipe import Batch
@@ -74,6 +75,8 @@ class TransporterRecipe:
         Raises `BaggieError` for options out of range.
         """
         self.options = options = options or TransporterOptions()
+        if options.preset == "fast":  # as published, what is taught is the pick that was shown
+            demonstrations = demonstrations.by_the_thing()
         pick_yaw = options.pick_yaw or demonstrations.turned_to_pick
         config = TransporterConfig(
             options.preset, options.rotations, demonstrations.common_symmetry, pick_yaw
@@ -127,14 +130,14 @@ class TransporterRecipe:
     def _target(self, moved: MovedMap, beside: FloatArray) -> FloatArray:
         """Place and turn `(3,)` for what is held `beside` `(2,)` pixels from its pick: the thing itself ends the same.
 
-        Held at p + d and turned by a, it has to be let go at y + R(a) d; a is the least turn of those that look alike.
+        Held at p + d and turned by a, it has to be let go at y + R(a) d; a is the least turn of those that look alike,
+        and about its middle they look alike, not about its pick.
         """
-        turn = float(moved.yaws[1] - moved.yaws[0])
+        shown = float(moved.yaws[1] - moved.yaws[0])
         fold = self.policy.network.config.symmetry
-        turn = wrap_angle(turn, 2 * math.pi / fold) if fold else 0.0
-        c, s = math.cos(turn), math.sin(turn)
+        turn = float(wrap_angle(shown, 2 * math.pi / fold)) if fold else 0.0
         rows, columns = moved.height.shape
-        place = moved.places[1] + np.array([[c, -s], [s, c]]) @ beside
+        place = with_turn(moved.places, shown, turn, moved.middle) + rotation(turn) @ beside
         return np.array([*np.clip(place, -0.5, [columns - 0.5, rows - 0.5]), turn])
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:

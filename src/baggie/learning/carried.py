@@ -1,0 +1,143 @@
+"""What one step of a demonstration carried, told from the height maps before and after it.
+
+Where a map is lower afterwards, something stood; where it is higher, that came to lie. This tells a thing from what it
+touched, and its middle from the point at which somebody happened to pick it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.geometry import FloatArray
+
+Mask = NDArray[np.bool_]
+_CHANGED_M = 0.004
+"""Height maps are noisy by a millimetre."""
+_SMALLEST_PX = 12
+"""What covers fewer pixels is noise."""
+_NEAR_PX = 2.0
+"""A pick so near to a thing is on it."""
+_STRAY_PX = 16.0
+"""A thing that is held at its rim tilts, and slides into a bowl; what came to lie further away is another."""
+_ALIKE = 0.5
+"""The smaller of both footprints, as a share of the other: from above, a thing is about as large here as there."""
+_CUP_PX = 2
+"""Pixels from the middle of a suction cup to its rim, at the usual 3 mm a pixel."""
+_LEVEL_M = 0.003
+"""Over so much a cup seals."""
+_HOLE = 0.03
+"""Of a thing's area: a larger hole is one, and no noise."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A thing that was picked up and came to lie about where it was to go."""
+
+    stood: Mask
+    """`(H, W)`: what it covered before."""
+
+    @classmethod
+    def between(
+        cls,
+        before: NDArray[np.float32],
+        after: NDArray[np.float32],
+        places: FloatArray,
+        turn: float,
+    ) -> Carried | None:
+        """What the maps `(H, W)` metres say of a pick and a place `(2, 2)` (u, v) pixels, turned by `turn` radians.
+
+        None where nothing was carried as it was said: it was missed or dropped, hardly moved, or is too flat to be seen.
+        """
+        lower = before - after
+        stood = _part_at(lower > _CHANGED_M, places[0], _NEAR_PX)
+        if stood is None:
+            return None
+        to = place_of(middle_of(stood), places, turn)
+        lies = _part_at(-lower > _CHANGED_M, to, _STRAY_PX)
+        if lies is None:
+            return None
+        less, more = sorted((np.count_nonzero(stood), np.count_nonzero(lies)))
+        return cls(stood) if less >= _ALIKE * more else None
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """`(2,)` (u, v) pixels: of what it covered before."""
+        return middle_of(self.stood)
+
+    def moved(self, places: FloatArray, turn: float) -> Mask:
+        """`(H, W)`: what it covers once it is picked and placed at `places` `(2, 2)` and turned by `turn` radians."""
+        rows, columns = self.stood.shape
+        move = np.c_[rotation(turn), places[1] - rotation(turn) @ places[0]]
+        there = cv2.warpAffine(self.stood.astype(np.uint8), move, (columns, rows), flags=cv2.INTER_NEAREST)
+        return there > 0
+
+    def cup_point(self, height: NDArray[np.float32]) -> FloatArray | None:
+        """`(2,)` (u, v) pixels: where a suction cup holds it best, by the map before `(H, W)` metres.
+
+        Its middle, where it is level there; else what is level and furthest from its rim. None for what has a hole, or
+        is level nowhere.
+        """
+        if _has_hole(self.stood):
+            return None
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _CUP_PX + 1,) * 2)
+        step = cv2.dilate(height, disc) - cv2.erode(height, disc)
+        level = (step < _LEVEL_M) & (cv2.erode(self.stood.astype(np.uint8), disc) > 0)
+        u, v = self.middle.round().astype(int)
+        if level[v, u]:
+            return self.middle
+        if not level.any():
+            return None
+        inside = cv2.distanceTransform(self.stood.astype(np.uint8), cv2.DIST_L2, 5)
+        best = np.argwhere(level & (inside >= inside[level].max() - 0.5))[:, ::-1]
+        off = np.linalg.norm(best - self.middle, axis=1)
+        return np.asarray(best[off.argmin()], float)
+
+
+def place_of(point: FloatArray, places: FloatArray, turn: float) -> FloatArray:
+    """Where a `point` `(2,)` of what is picked and placed at `places` `(2, 2)`, turned by `turn`, comes to lie."""
+    return np.asarray(places[1] + rotation(turn) @ (point - places[0]))
+
+
+def with_turn(places: FloatArray, turn: float, other: float, middle: FloatArray) -> FloatArray:
+    """The place `(2,)` of another turn, radians, after which the `middle` `(2,)` of what is carried lies as it did.
+
+    Picked at `places[0]` all the same: a thing that looks the same after the turn between both then looks as if nothing
+    had changed, wherever it is held.
+    """
+    return np.asarray(places[1] + (rotation(turn) - rotation(other)) @ (middle - places[0]))
+
+
+def rotation(angle: float) -> FloatArray:
+    """`(2, 2)`: a turn by `angle` radians, from u towards v."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def middle_of(mask: Mask) -> FloatArray:
+    """`(2,)` (u, v) pixels: the mean of what is in a mask `(H, W)`."""
+    return np.asarray(np.argwhere(mask)[:, ::-1].mean(axis=0), float)
+
+
+def _part_at(mask: Mask, at: FloatArray, within_px: float) -> Mask | None:
+    """What hangs together in a mask `(H, W)` and is nearest to `at` `(2,)`; None where nothing is so near."""
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    keep = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PX
+    keep[0] = False
+    v, u = np.nonzero(keep[parts])
+    if not len(v):
+        return None
+    off = np.hypot(u - at[0], v - at[1])
+    nearest = int(off.argmin())
+    return np.asarray(parts == parts[v[nearest], u[nearest]]) if off[nearest] <= within_px else None
+
+
+def _has_hole(mask: Mask) -> bool:
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
+    area = np.count_nonzero(mask)
+    return bool(np.count_nonzero(filled) - area > _HOLE * area)
