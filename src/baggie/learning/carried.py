@@ -51,7 +51,7 @@ class Carried:
     ) -> Carried | None:
         """What the maps `(H, W)` metres say of a pick and a place `(2, 2)` (u, v) pixels, turned by `turn` radians.
 
-        None where nothing was carried as it was said: it was missed or dropped, hardly moved, or is too flat to be seen.
+        None where nothing was carried as it was said: it was missed or dropped, hardly moved, or is too flat to see.
         """
         lower = before - after
         stood = _part_at(lower > _CHANGED_M, places[0], _NEAR_PX)

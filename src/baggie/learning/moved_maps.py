@@ -59,6 +59,7 @@ class MovedMaps:
         self._shown, self._moves, self._share = demonstrations, moves, rearranged
         self._places = demonstrations.places
         self._yaws: FloatArray = demonstrations.poses[:, [2, 5]]
+        self._known: dict[int, tuple[Things, NDArray[np.int32] | None]] = {}
         # What comes in from outside looks like the table, which is most of every map.
         self._table_color = np.median(demonstrations.colors[:, ::4, ::4], axis=(1, 2))
         self._table_height = np.median(demonstrations.heights[:, ::4, ::4], axis=(1, 2))
@@ -86,19 +87,10 @@ class MovedMaps:
 
     def _rearranged(self, rng: np.random.Generator, number: int) -> MovedMap | None:
         """None where nothing stands alone, no room was found, or nothing tells what the place belongs to."""
-        places, color, height = self._places[number], self._shown.colors[number], self._shown.heights[number]
-        things = Things.on(height)
-        at = things.at(places)
-        carried = self._shown.carried[number] if self._shown.carried else None
-        if carried is not None:
-            turn = float(self._yaws[number] @ [-1, 1])
-            belongs = place_belongs_to(things, color, carried.moved(places, turn))
-            if belongs is None:
-                return None
-            at = np.array([things.under(carried.stood) or at[0], belongs])
-        if not at.any():
+        places, (things, at) = self._places[number], self._things(number)
+        if at is None or not at.any():
             return None
-        scene = Scene(color, height, places, at)
+        scene = Scene(self._shown.colors[number], self._shown.heights[number], places, at)
         found = rearranged(rng, scene, things, self._random_move(rng, places[at == 0]))
         if found is None:
             return None
@@ -107,6 +99,21 @@ class MovedMaps:
         middle = apply_homography(found.moves[0], self._shown.middles[number])[0]
         yaws = wrap_angle(self._yaws[number] + turns)
         return MovedMap(found.color, found.height, np.stack(there), yaws, middle)
+
+    def _things(self, number: int) -> tuple[Things, NDArray[np.int32] | None]:
+        """What stands in demonstration `number`, and to which of it pick and place `(2,)` belong, if anything tells."""
+        if number not in self._known:
+            places, height = self._places[number], self._shown.heights[number]
+            things = Things.on(height)
+            at: NDArray[np.int32] | None = things.at(places)
+            carried = self._shown.carried[number] if self._shown.carried else None
+            if carried is not None and at is not None:
+                lies = carried.moved(places, float(self._yaws[number] @ [-1, 1]))
+                belongs = place_belongs_to(things, self._shown.colors[number], lies)
+                picked = things.under(carried.stood) or at[0]
+                at = None if belongs is None else np.array([picked, belongs], np.int32)
+            self._known[number] = things, at
+        return self._known[number]
 
     def moved(self, number: int, move: FloatArray) -> MovedMap:
         """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels."""

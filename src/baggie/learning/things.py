@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -62,6 +63,17 @@ class Things:
         near = off.min(axis=1) <= _BELONGS_PX
         return np.where(near, self.footprints[v, u][off.argmin(axis=1)], 0)
 
+    @cached_property
+    def enclosed(self) -> NDArray[np.int32]:
+        """`(H, W)`: the thing that is here, or all around."""
+        filled = self.footprints.copy()
+        for number in range(1, self.count + 1):
+            mask = (self.footprints == number).astype(np.uint8)
+            outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            inside = cv2.drawContours(np.zeros_like(mask), outlines, -1, 1, cv2.FILLED) > 0
+            filled[inside & (self.footprints == 0)] = number
+        return filled
+
     def under(self, mask: NDArray[np.bool_]) -> int:
         """The thing that covers most of a mask `(H, W)`; 0 where none covers any of it."""
         covered = np.bincount(self.footprints[mask], minlength=self.count + 1)
@@ -79,8 +91,7 @@ def place_belongs_to(things: Things, color: Image, lies: NDArray[np.bool_]) -> i
     What it comes to lie on or beside, what encloses it; the table where something is marked on it there, in the colours
     `(H, W, 3)`. None where nothing tells.
     """
-    near = _grown(lies, _TOUCHES_PX)
-    touched = np.bincount(things.footprints[near], minlength=things.count + 1)[1:]
+    touched = np.bincount(things.enclosed[_grown(lies, _TOUCHES_PX)], minlength=things.count + 1)[1:]
     if touched.size and touched.max() >= _SMALLEST_PX / 2:
         return int(touched.argmax()) + 1
     bare = things.surroundings == 0

@@ -1,0 +1,219 @@
+"""What demonstrations carry, whoever shows them: the thing is taught, wherever on it somebody happened to pick it."""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from baggie.grid import Grid
+from baggie.learning.carried import Carried, middle_of, place_of, rotation, with_turn
+from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.moved_maps import MovedMaps, Moves
+from baggie.learning.things import Things, place_belongs_to
+from baggie.learning.transporter import TransporterRecipe
+
+GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
+"""128 x 128 pixels."""
+HEIGHT_M = 0.04
+TABLE = (120, 105, 90)
+L_SHAPE = np.array([[0, 0], [26, 0], [26, 12], [12, 12], [12, 26], [0, 26]], float) - [9.3, 9.3]
+angles, shares = st.floats(-math.pi, math.pi), st.floats(0, 1)
+
+
+def shape(
+    symmetry: int, radius: float, wave: float, middle: Sequence[float] | np.ndarray = (0.0, 0.0)
+) -> np.ndarray:
+    """`(N, 2)` pixels: an outline about its middle that looks the same `symmetry` times a turn, 0 for a circle."""
+    angle = np.linspace(0, 2 * math.pi, 360, endpoint=False)
+    reach = radius * (1 + (wave * np.cos(symmetry * angle) if symmetry else 0))
+    return np.c_[reach * np.cos(angle), reach * np.sin(angle)] + np.asarray(middle)
+
+
+def drawn(outline: np.ndarray, height: float = HEIGHT_M, onto: np.ndarray | None = None) -> np.ndarray:
+    """A height map with what the outline `(N, 2)` encloses that much higher."""
+    heights = np.zeros(GRID.shape, np.float32) if onto is None else onto.copy()
+    mask = np.zeros(GRID.shape, np.uint8)
+    cv2.fillPoly(mask, [np.round(outline * 16).astype(np.int32)], 1, cv2.LINE_8, 4)
+    heights[mask > 0] += height
+    return heights
+
+
+def after(outline: np.ndarray, places: np.ndarray, turn: float) -> np.ndarray:
+    """The outline once it was picked and placed at `places` and turned."""
+    return (outline - places[0]) @ rotation(turn).T + places[1]
+
+
+def as_far(outline: np.ndarray, other: np.ndarray) -> float:
+    """Pixels by which two closed outlines differ, at most."""
+    apart = np.linalg.norm(outline[:, None] - other[None], axis=2)
+    return float(max(apart.min(axis=0).max(), apart.min(axis=1).max()))
+
+
+@given(st.integers(0, 6), shares, angles, st.tuples(shares, angles), angles)
+def test_whichever_of_the_turns_that_look_alike_is_taken_the_thing_ends_the_same(
+    symmetry, wave, turn, at, other
+):
+    """The law: outline, turn and place together, for any pick on the thing."""
+    middle = np.array([40.0, 50.0])
+    outline = shape(symmetry, 8.0, 0.3 * wave) + middle
+    pick = middle + 6 * at[0] * np.array([math.cos(at[1]), math.sin(at[1])])
+    places = np.array([pick, [80.0, 70.0]])
+    if symmetry:
+        other = turn + round(other) * 2 * math.pi / symmetry
+    again = np.array([pick, with_turn(places, turn, other, middle)])
+    assert as_far(after(outline, places, turn), after(outline, again, other)) < 0.2
+    assert place_of(middle, places, turn) == pytest.approx(place_of(middle, again, other))
+
+
+@given(st.sampled_from([0, 2, 3, 4]), angles, angles, shares, angles)
+def test_a_thing_is_told_from_what_it_stands_on(symmetry, yaw, turn, off, way):
+    """On a pedestal of its own colour and height, touching a neighbour: the maps before and after tell."""
+    middle = np.array([38.0, 40.0])
+    outline = shape(symmetry, 8.0, 0.25) @ rotation(yaw).T + middle
+    pick = middle + 5 * off * np.array([math.cos(way), math.sin(way)])
+    ground = drawn(shape(4, 16.0, 0.0) + middle + [9, 0])
+    before = drawn(outline, onto=ground)
+    places = np.array([pick, [90.0, 85.0]])
+    carried = Carried.between(before, drawn(after(outline, places, turn), onto=ground), places, turn)
+    assert carried is not None
+    assert carried.middle == pytest.approx(middle, abs=0.5)
+    assert as_far(np.argwhere(carried.moved(places, turn))[:, ::-1], after(outline, places, turn)) < 9
+    assert middle_of(carried.moved(places, turn)) == pytest.approx(place_of(middle, places, turn), abs=0.6)
+
+
+def test_what_was_not_carried_is_none():
+    outline = shape(4, 8.0, 0.2, [38.0, 40.0])
+    before, places = drawn(outline), np.array([[38.0, 40.0], [90.0, 85.0]])
+    there = drawn(after(outline, places, 0.0))
+    assert Carried.between(before, there, places, 0.0) is not None
+    assert Carried.between(before, before, places, 0.0) is None  # missed
+    assert (
+        Carried.between(before, drawn(outline + np.array([30.0, -10.0])), places, 0.0) is None
+    )  # dropped on the way
+    assert Carried.between(before, np.zeros_like(before), places, 0.0) is None  # gone
+    assert Carried.between(before, there, places + np.array([20.0, 0.0]), 0.0) is None  # picked beside it
+    flat = drawn(outline, 0.002), drawn(after(outline, places, 0.0), 0.002)
+    assert Carried.between(*flat, places, 0.0) is None
+
+
+def carried_at(outline, pick, heights=None):
+    places = np.array([pick, [90.0, 85.0]])
+    before = drawn(outline) if heights is None else heights
+    carried = Carried.between(before, drawn(after(outline, places, 0.0)), places, 0.0)
+    assert carried is not None
+    return carried, before
+
+
+@given(angles, st.integers(0, 10**6))
+def test_a_cup_holds_a_thing_at_one_point_wherever_it_was_shown(yaw, seed):
+    outline = L_SHAPE @ rotation(yaw).T + [40.0, 40.0]
+    inside = np.argwhere(drawn(outline) > 0)[:, ::-1]
+    picks = inside[np.random.default_rng(seed).integers(0, len(inside), 2)].astype(float)
+    points = []
+    for pick in picks:
+        carried, before = carried_at(outline, pick)
+        points.append(carried.cup_point(before))
+    assert points[0] == pytest.approx(points[1])
+    inner = cv2.pointPolygonTest(outline.astype(np.float32), tuple(map(float, points[0])), measureDist=True)
+    assert inner > 2
+
+
+def test_what_has_a_hole_or_is_level_nowhere_is_picked_as_it_was_shown():
+    disc, hole = shape(0, 12.0, 0.0, [40.0, 40.0]), shape(0, 5.0, 0.0, [40.0, 40.0])
+    ring = drawn(disc)
+    ring[drawn(hole) > 0] = 0
+    carried, _ = carried_at(disc, [31.0, 40.0])
+    assert Carried(ring > 0).cup_point(ring) is None
+    assert carried.cup_point(drawn(disc)) == pytest.approx(carried.middle)
+    v, u = np.mgrid[:128, :128]
+    dome = np.maximum(0, 0.06 - 0.004 * np.hypot(u - 40, v - 40)).astype(np.float32)
+    assert Carried(dome > 0.004).cup_point(dome) is None
+
+
+# --- what a place belongs to
+
+
+def test_a_place_belongs_to_what_encloses_or_touches_the_thing_there_or_to_a_mark_or_to_nobody():
+    ring = drawn(shape(0, 20.0, 0.0, [80.0, 80.0]), 0.01)
+    ring[drawn(shape(0, 11.0, 0.0, [80.0, 80.0])) > 0] = 0
+    heights = drawn(shape(4, 7.0, 0.1, [30.0, 30.0]), onto=ring)
+    things, color = Things.on(heights), np.full((*GRID.shape, 3), TABLE, np.uint8)
+    enclosing = things.footprints[80, 95]
+    assert enclosing > 0
+    assert things.at(np.array([[80.0, 80.0]]))[0] == 0  # the place itself is bare table
+    for radius in (3.0, 9.0):  # with room, and snugly
+        lies = drawn(shape(0, radius, 0.0, [80.0, 80.0])) > 0
+        assert place_belongs_to(things, color, lies) == enclosing
+    elsewhere = drawn(shape(0, 7.0, 0.0, [30.0, 100.0])) > 0
+    assert place_belongs_to(things, color, elsewhere) is None
+    marked = color.copy()
+    marked[98:103, 22:40] = (250, 240, 240)
+    assert place_belongs_to(things, marked, elsewhere) == 0
+
+
+# --- what is taught
+
+
+def demonstrations(picks_off: float, seed: int, symmetry: int = 4, count: int = 4) -> Demonstrations:
+    """Squares picked off their middles and put into a ring, as anybody may show it; symmetry said."""
+    rng = np.random.default_rng(seed)
+    heights, poses, carried = [], [], []
+    ring = drawn(shape(0, 22.0, 0.0, [85.0, 85.0]), 0.01)
+    ring[drawn(shape(0, 15.0, 0.0, [85.0, 85.0])) > 0] = 0
+    for _ in range(count):
+        middle = rng.uniform(30, 45, 2)
+        outline = shape(4, 8.0, 0.15) @ rotation(rng.uniform(-3, 3)).T + middle
+        turn, way = rng.uniform(-3, 3), rng.uniform(-3, 3)
+        pick = middle + picks_off * np.array([math.cos(way), math.sin(way)])
+        places = np.array([pick, [85.0, 85.0] + rotation(turn) @ (pick - middle)])
+        before = drawn(outline, onto=ring)
+        found = Carried.between(before, drawn(after(outline, places, turn), onto=ring), places, turn)
+        (px, py), (qx, qy) = GRID.to_robot(places)
+        heights.append(before)
+        poses.append([px, py, 0.0, qx, qy, turn])
+        carried.append(found)
+    colors = np.full((count, *GRID.shape, 3), TABLE, np.uint8)
+    return Demonstrations(
+        colors, np.stack(heights), np.array(poses), np.full(count, symmetry), GRID, carried=carried
+    )
+
+
+@given(st.integers(0, 10**6))
+def test_shown_at_the_rim_the_same_is_taught_as_at_the_middle(seed):
+    at_rim, at_middle = (demonstrations(off, seed).by_the_thing().poses for off in (6.0, 0.0))
+    assert at_rim == pytest.approx(at_middle, abs=1.5 * GRID.pixel_m)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.booleans())
+def test_what_is_learned_puts_the_thing_where_it_was_shown(seed, by_the_thing):
+    """For the cup and for the hand: pick, least turn and place of a sample put the middle where it was put."""
+    shown = demonstrations(5.0, seed)
+    recipe = TransporterRecipe(shown)
+    if not by_the_thing:  # picked where it was shown, as fingers pick
+        recipe._maps = MovedMaps(shown, Moves(), 0.5)
+    rng = np.random.default_rng(seed)
+    for number in range(len(recipe._maps)):
+        moved = recipe._maps.draw(rng, number)
+        u, v, turn = recipe._target(moved, np.zeros(2))
+        assert abs(turn) <= math.pi / 4 + 1e-9
+        ends = place_of(moved.middle, np.array([moved.places[0], [u, v]]), turn)
+        right = place_of(moved.middle, moved.places, float(moved.yaws[1] - moved.yaws[0]))
+        assume(((np.array([u, v]) > 0) & (np.array([u, v]) < 127)).all())
+        assert ends == pytest.approx(right, abs=1e-6)
+        things = Things.on(moved.height)
+        assert things.at(moved.places[:1])[0] > 0
+        if ((right > 24) & (right < 104)).all():  # the ring is on the map, too
+            lies = np.hypot(*(np.mgrid[:128, :128][::-1] - right[:, None, None])) < 8
+            assert place_belongs_to(things, moved.color, lies)  # it came along
+
+
+@given(st.integers(0, 10**6), st.integers(0, 3))
+def test_every_label_stays_on_the_map(seed, number):
+    maps = MovedMaps(demonstrations(7.0, 3), Moves(), 1.0)
+    moved = maps.draw(np.random.default_rng(seed), number)
+    assert ((moved.places >= 2) & (moved.places <= 125)).all()
