@@ -26,10 +26,12 @@ _STRAY_PX = 16.0
 """A thing that is held at its rim tilts, and slides into a bowl; what came to lie further away is another."""
 _ALIKE = 0.5
 """The smaller of both footprints, as a share of the other: from above, a thing is about as large here as there."""
-_CUP_PX = 2
+_CUP_PX = 3
 """Pixels from the middle of a suction cup to its rim, at the usual 3 mm a pixel."""
 _LEVEL_M = 0.003
 """Over so much a cup seals."""
+_SAFE = 0.7
+"""Of the largest distance from its rim that a thing has, where it is level: so far inside a cup is well placed."""
 _HOLE = 0.03
 """Of a thing's area: a larger hole is one, and no noise."""
 
@@ -79,21 +81,22 @@ class Carried:
     def cup_point(self, height: NDArray[np.float32]) -> FloatArray | None:
         """`(2,)` (u, v) pixels: where a suction cup holds it best, by the map before `(H, W)` metres.
 
-        Its middle, where it is level there; else what is level and furthest from its rim. None for what has a hole, or
-        is level nowhere.
+        Of where it is level and far from its rim, what is nearest to its middle; the middle itself of most things. None
+        for what has a hole, or is level nowhere.
         """
         if _has_hole(self.stood):
             return None
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _CUP_PX + 1,) * 2)
         step = cv2.dilate(height, disc) - cv2.erode(height, disc)
         level = (step < _LEVEL_M) & (cv2.erode(self.stood.astype(np.uint8), disc) > 0)
-        u, v = self.middle.round().astype(int)
-        if level[v, u]:
-            return self.middle
         if not level.any():
             return None
         inside = cv2.distanceTransform(self.stood.astype(np.uint8), cv2.DIST_L2, 5)
-        best = np.argwhere(level & (inside >= inside[level].max() - 0.5))[:, ::-1]
+        safe = level & (inside >= _SAFE * inside[level].max())
+        u, v = self.middle.round().astype(int)
+        if safe[v, u]:
+            return self.middle
+        best = np.argwhere(safe)[:, ::-1]
         off = np.linalg.norm(best - self.middle, axis=1)
         return np.asarray(best[off.argmin()], float)
 
