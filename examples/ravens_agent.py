@@ -86,6 +86,7 @@ def score(env: Any, task: Any, agent: RavensAgent, seed: int) -> float:
     env.seed(seed)
     env.set_task(task)
     observation, info, total = env.reset(), None, 0.0
+    agent.begin()
     for _ in range(task.max_steps):
         observation, reward, done, info = env.step(agent.act(observation, info))
         total += reward

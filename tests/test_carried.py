@@ -10,11 +10,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from baggie.grid import Grid
-from baggie.learning.carried import Carried, middle_of, place_of, rotation, with_turn
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.things import Things, place_belongs_to
 from baggie.learning.transporter import TransporterRecipe
+from baggie.vision.carried import Carried, middle_of, place_of, rotation, with_turn
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
 """128 x 128 pixels."""
@@ -127,11 +127,11 @@ def test_what_has_a_hole_or_is_level_nowhere_is_picked_as_it_was_shown():
     ring = drawn(disc)
     ring[drawn(hole) > 0] = 0
     carried, _ = carried_at(disc, [31.0, 40.0])
-    assert Carried(ring > 0).cup_point(ring) is None
+    assert Carried(ring > 0, ring > 0).cup_point(ring) is None
     assert carried.cup_point(drawn(disc)) == pytest.approx(carried.middle)
     v, u = np.mgrid[:128, :128]
     dome = np.maximum(0, 0.06 - 0.004 * np.hypot(u - 40, v - 40)).astype(np.float32)
-    assert Carried(dome > 0.004).cup_point(dome) is None
+    assert Carried(dome > 0.004, dome > 0.004).cup_point(dome) is None
 
 
 # --- what a place belongs to

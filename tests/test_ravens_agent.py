@@ -21,7 +21,7 @@ from baggie.data.ravens_convert import planar
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
-from baggie.types import Observation, PickPlace, Plan
+from baggie.types import Goal, Observation, PickPlace, Plan
 
 STEPS = len(ravens_scene.STARTS)
 
@@ -33,7 +33,7 @@ class Seeing:
         self.moved = list(ravens_scene.STARTS)[step]
         self.onto = ["green", *ravens_scene.STARTS][step]
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         start, stand = (middle(observation, name) for name in (self.moved, self.onto))
         grip = PlanarPose(0.005, -0.005)
         turn = ravens_scene.TURNS[self.moved]
@@ -51,7 +51,7 @@ class Planned:
     def __init__(self, action: PickPlace) -> None:
         self.action = action
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         assert observation.grid is not None
         return Plan(self.action)
 

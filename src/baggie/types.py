@@ -121,6 +121,8 @@ class Observation:
     """Which pixel shows which place, in the robot's base frame; None for a camera's own picture."""
     height: NDArray[np.float32] | None = None
     """`(H, W)` float32, metres above the grid's lower bound of z; 0 where nothing is known. None without a grid."""
+    tried: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    """`(N, 2)` (u, v) pixels: where picks came to nothing since the scene is as it is (`baggie.policies.memory`)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "color", as_picture(self.color))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +13,11 @@ from baggie.data.ravens_observation import fused
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.grid import Grid
-from baggie.types import Observation, Plan
+from baggie.policies.memory import Planner, remembering
+from baggie.types import Observation
 
 RavensActionArrays = dict[str, tuple[FloatArray, FloatArray]]
 """`pose0` (the pick) and `pose1` (the place), each `(3,)` xyz in metres and `(4,)` quaternion x, y, z, w."""
-
-
-class Planner(Protocol):
-    """Of a policy, what an agent needs."""
-
-    def plan(self, observation: Observation) -> Plan:
-        """Where to pick and where to place next."""
 
 
 class RavensAgent:
@@ -31,12 +25,18 @@ class RavensAgent:
 
     agent = RavensAgent(Policy.from_pretrained("runs/pyramid"))
     observation, reward, done, info = env.step(agent.act(observation, info))
+
+    It remembers what it did in an episode (`baggie.policies.memory`); `begin` begins the next one.
     """
 
     def __init__(self, policy: Planner, grid: Grid | None = None) -> None:
         """`grid`: of the pictures that the policy has learned from; Ravens' own unless given."""
-        self._policy = policy
+        self._memory = remembering(policy)
         self._grid = grid or Grid()
+
+    def begin(self) -> None:
+        """Forget the episode before; a scene that is another one is noticed without."""
+        self._memory.begin()
 
     def act(self, obs: Mapping[str, Sequence[Any]], info: Any = None, goal: Any = None) -> RavensActionArrays:
         """The next action.
@@ -49,7 +49,7 @@ class RavensAgent:
         Raises `BaggieError` where the policy cannot tell, plans a pose outside the map, or `obs` is another robot's.
         """
         seen = fused(*_views(obs), self._grid)
-        action = self._policy.plan(seen).action
+        action = self._memory.plan(seen).action
         pick, place = action.pick, action.place
         turned = wrap_angle(place.yaw - pick.yaw)
         poses = {"pose0": PlanarPose(pick.x, pick.y), "pose1": PlanarPose(place.x, place.y, turned)}

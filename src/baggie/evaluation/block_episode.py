@@ -15,6 +15,7 @@ from baggie.evaluation.log import Record
 from baggie.evaluation.map_pictures import save_map, save_step
 from baggie.evaluation.pictures import save_mp4
 from baggie.evaluation.turn import Turn, take_turn
+from baggie.policies.memory import remembering
 
 FILM_FPS = 5
 PLAY_FPS = 20
@@ -89,13 +90,14 @@ def run_block_episode(
     cell.reset([*stream, number])
     stem = out / f"episode-{number:04d}"
     steps: list[BlockStep] = []
+    policy = remembering(bench.policy)
     filming = cell.film(fps=FILM_FPS) if film else contextlib.nullcontext([])
     with filming as frames:
         while not cell.score.done and len(steps) < cell.task.max_steps:
             seen = cell.look()
             if not steps:
                 save_map(Path(f"{stem}-before.jpg"), seen)
-            turn = take_turn(bench.policy, cell, seen)
+            turn = take_turn(policy, cell, seen)
             if turn.plan:
                 save_step(Path(f"{stem}-step-{len(steps):02d}.jpg"), seen, turn.plan)
             steps.append(BlockStep.of(turn, cell.count()))

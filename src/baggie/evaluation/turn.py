@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
-from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, Outcome, Plan
 
 
@@ -39,7 +38,15 @@ class Turn:
         return self.failure in ("no-plan", "unsure")
 
 
-def take_turn(policy: Policy, cell: MovingCell, seen: Observation, goal: Goal | None = None) -> Turn:
+class Planner(Protocol):
+    """A policy, or a memory that asks one."""
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Where to pick and where to place."""
+        ...
+
+
+def take_turn(policy: Planner, cell: MovingCell, seen: Observation, goal: Goal | None = None) -> Turn:
     """Plan from what was seen, and move."""
     clock = time.perf_counter()
     try:

@@ -13,11 +13,16 @@ from baggie.data.annotation import shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray
 from baggie.grid import Grid
-from baggie.learning.carried import Carried, place_of
 from baggie.policies.keypoint_plan import GoalInput
+from baggie.policies.transporter.policy import UNKNOWN, Scale
 from baggie.types import Attempt
+from baggie.vision.carried import Carried, middle_of, place_of
 
 _NOT_TURNED_RAD = 1e-6
+_HIGHER_M = 0.05
+"""Above what was picked; an arm that hangs over the table is higher, and a thing on another is not."""
+_LANDS_PX = 2.5
+"""Well placed, however exactly it was shown: maps tell the middle of a thing to a pixel."""
 _MOST = 0.5
 """Of the demonstrations: where the maps tell of so many what was carried, they can tell it of all."""
 
@@ -83,6 +88,21 @@ class Demonstrations:
             symmetry=self.symmetry[keep],
             carried=[each for each, kept in zip(carried, keep, strict=True) if kept],
         )
+
+    @property
+    def scale(self) -> Scale:
+        """How high things are picked, and how near to their places they land; `UNKNOWN` where the maps do not tell."""
+        offs = [
+            float(np.linalg.norm(middle_of(each.lies) - place_of(each.middle, places, pose[5] - pose[2])))
+            for each, places, pose in zip(self.carried, self.places, self.poses, strict=False)
+            if each is not None
+        ]
+        if not offs:
+            return UNKNOWN
+        tops = [
+            float(h[each.stood].max()) for h, each in zip(self.heights, self.carried, strict=True) if each
+        ]
+        return Scale(max(tops) + _HIGHER_M, max(_LANDS_PX, float(np.percentile(offs, 95)) + 1.0))
 
     def by_the_thing(self) -> Demonstrations:
         """The same carries by a suction cup, each picked where it holds the thing best, and placed accordingly.

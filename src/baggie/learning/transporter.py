@@ -15,7 +15,6 @@ from torch.optim import Adam, Optimizer
 
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import FloatArray, wrap_angle
-from baggie.learning.carried import rotation, with_turn
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.recipe import Batch
@@ -26,6 +25,7 @@ from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.policies.transporter.scores import Scores
 from baggie.policies.transporter.soft_targets import PlaceAngle
 from baggie.types import Attempt
+from baggie.vision.carried import rotation, with_turn
 
 _RATE = {"fast": 1e-3, "paper": 1e-4}
 _BATCH = {"fast": 4, "paper": 1}
@@ -83,7 +83,9 @@ class TransporterRecipe:
         )
         network = TransporterNet(config)
         shown = demonstrations
-        self.policy = TransporterPolicy(network, shown.grid, shown.cell, shown.goal_input, rectifier)
+        self.policy = TransporterPolicy(
+            network, shown.grid, shown.cell, shown.goal_input, rectifier, scale=shown.scale
+        )
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
         self._maps = MovedMaps(demonstrations, options.moves, share)
         self._symmetry = demonstrations.symmetry

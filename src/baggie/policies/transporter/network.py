@@ -61,16 +61,21 @@ class TransporterNet(nn.Module):
             stage(scene, pick, near) for stage in self.places
         ]
 
-    def decide(self, color: Tensor, height: Tensor) -> Decision:
-        """Where to pick and where to place; each look is about where the one before it ended."""
+    def decide(self, color: Tensor, height: Tensor, barred: Tensor | None = None) -> Decision:
+        """Where to pick and where to place; each look is about where the one before it ended.
+
+        `barred` `(B, H, W)`: where not to pick.
+        """
         scene: Scene = self.look(color, height)
         rows, columns = height.shape[-2:]
         last = height.new_tensor([columns - 1.0, rows - 1.0])
         start = PlaceAngle(height.new_zeros(len(height), 2), height.new_zeros(len(height)))
         pick, place = start, start
-        picks, places = [], []
+        picks: list[Scores] = []
+        places: list[Scores] = []
         for stage in self.picks:
-            picks.append(stage(scene, pick))
+            look: Scores = stage(scene, pick)
+            picks.append(look if barred is None or picks else look.without(barred))
             pick = picks[-1].read(pick)
         for stage in self.places:
             places.append(stage(scene, pick, place))

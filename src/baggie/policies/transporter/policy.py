@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +14,7 @@ from torch import Tensor
 
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose, wrap_angle
+from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.grid import Grid
 from baggie.policies.as_trained import as_trained
 from baggie.policies.keypoint_plan import GoalInput
@@ -21,6 +23,34 @@ from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import Scores
 from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked, seen
+
+_TRIED_PX = 4.0
+"""Around a pick that came to nothing; the next one is as far away as a thing is wide."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What demonstrations showed of the sizes of things and of how exactly they land."""
+
+    highest_m: float = math.inf
+    """Nothing higher is picked."""
+    lands_within_px: float = 3.0
+    """How far from where it was to go a thing lies that was well placed."""
+
+    def config(self) -> dict[str, float]:
+        """In plain YAML types; nothing where nothing is known."""
+        return (
+            {} if self == UNKNOWN else {"highest_m": self.highest_m, "lands_within_px": self.lands_within_px}
+        )
+
+    @classmethod
+    def of(cls, model: Mapping[str, Any]) -> Self:
+        """The inverse of `config`, for older versions' models, too."""
+        known = {each.name: float(model[each.name]) for each in fields(cls) if each.name in model}
+        return cls(**known)
+
+
+UNKNOWN = Scale()
 
 
 class TransporterPolicy(LearnedPolicy):
@@ -40,14 +70,18 @@ class TransporterPolicy(LearnedPolicy):
         cell: int,
         goal_input: GoalInput | None = None,
         rectifier: Rectifier | None = None,
+        *,
+        scale: Scale = UNKNOWN,
     ) -> None:
         """`grid`: of its training maps; `goal_input`: how goals are painted, None for a task that marks no goal.
 
-        `rectifier`: to this grid, of the training pictures; None for one that is given height maps.
+        `rectifier`: to this grid, of the training pictures; None for one that is given height maps. `scale`: of what
+        was demonstrated.
         """
         rows, columns = grid.shape
         super().__init__(network, (columns, rows) if rectifier is None else rectifier.size, cell)
         self.grid, self.goal_input, self.rectifier = grid, goal_input, rectifier
+        self.scale = scale
 
     def model_config(self) -> dict[str, Any]:
         """The network's kind, the grid, how goals get into its input, and what a camera sees of the grid."""
@@ -57,6 +91,7 @@ class TransporterPolicy(LearnedPolicy):
             "grid": {**grid, "pixel_m": self.grid.pixel_m},
             "goal": None if self.goal_input is None else self.goal_input.config(),
             "camera": None if self.rectifier is None else self.rectifier.config(),
+            **self.scale.config(),
         }
 
     @classmethod
@@ -67,7 +102,8 @@ class TransporterPolicy(LearnedPolicy):
         goal_input = None if model["goal"] is None else GoalInput.of(model["goal"])
         camera = model["camera"]
         rectifier = None if camera is None else Rectifier.from_config(camera, picture_size, grid)
-        return cls(TransporterNet(TransporterConfig.of(model["network"])), grid, cell, goal_input, rectifier)
+        network = TransporterNet(TransporterConfig.of(model["network"]))
+        return cls(network, grid, cell, goal_input, rectifier, scale=Scale.of(model))
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place, metres and radians in the robot's base frame.
@@ -84,7 +120,7 @@ class TransporterPolicy(LearnedPolicy):
         straight, goal = self._rectified(seen(observation), goal)
         grid, height = self._checked(straight)
         color = self.painted(straight.color, goal)
-        decision = self.decide(color, height)
+        decision = self.decide(color, height, self.barred(height, straight.tried))
         pick_xy, place_xy = (
             grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)
         )
@@ -107,13 +143,35 @@ class TransporterPolicy(LearnedPolicy):
         drawn = self.goal_input or GoalInput("painted")
         return drawn.network_input(color, goal).transpose(1, 2, 0)
 
-    def decide(self, color: Image, height: NDArray[np.float32]) -> Decision:
-        """Run the network on one map: `(H, W, 3)` uint8 with the goal in it, `(H, W)` metres."""
+    def barred(self, height: NDArray[np.float32], tried: FloatArray) -> NDArray[np.bool_]:
+        """`(H, W)`: where not to pick: what is too high to be one of the things, such as an arm, and what was tried.
+
+        Raises `BaggieError` where nothing is left.
+        """
+        barred = height > self.scale.highest_m
+        rows, columns = height.shape
+        v, u = np.mgrid[:rows, :columns]
+        for at in tried:
+            barred |= np.hypot(u - at[0], v - at[1]) <= _TRIED_PX
+        if barred.all():
+            raise BaggieError(
+                "expected a place to pick at, got a map where all is too high or was tried in vain"
+            )
+        return np.asarray(barred)
+
+    def decide(
+        self, color: Image, height: NDArray[np.float32], barred: NDArray[np.bool_] | None = None
+    ) -> Decision:
+        """Run the network on one map: `(H, W, 3)` uint8 with the goal in it, `(H, W)` metres.
+
+        `barred` `(H, W)`: where not to pick.
+        """
         colors = torch.from_numpy(np.ascontiguousarray(color.transpose(2, 0, 1)))[None]
         heights = torch.from_numpy(np.array(height, np.float32))[None]  # a copy: the map may be read-only
         self.network.eval()
         with torch.inference_mode():
-            return self.network.decide(colors.to(self.device), heights.to(self.device))
+            not_here = None if barred is None else torch.from_numpy(barred)[None].to(self.device)
+            return self.network.decide(colors.to(self.device), heights.to(self.device), not_here)
 
     def _rectified(self, observation: Observation, goal: Goal | None) -> tuple[Observation, Goal | None]:
         """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""

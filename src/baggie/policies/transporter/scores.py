@@ -74,6 +74,10 @@ class Scores(NamedTuple):
         angle = before.angle if rotations == 1 else found.angle / max(self.fold, 1)
         return PlaceAngle(place, angle)
 
+    def without(self, barred: Tensor) -> Scores:
+        """The same of a look at every pixel of the map, but for those that are `barred` `(B, H, W)`."""
+        return self._replace(logits=self.logits.masked_fill(barred[:, None], -math.inf))
+
     def heat(self) -> Tensor:
         """How likely each cell is, whatever the angle: `(B, h, w)`, sums to 1."""
         return self.logits.flatten(1).softmax(dim=1).view_as(self.logits).sum(dim=1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from baggie.geometry import FloatArray
 
 Mask = NDArray[np.bool_]
-_CHANGED_M = 0.004
+CHANGED_M = 0.004
 """Height maps are noisy by a millimetre."""
 _SMALLEST_PX = 12
 """What covers fewer pixels is noise."""
@@ -42,6 +42,8 @@ class Carried:
 
     stood: Mask
     """`(H, W)`: what it covered before."""
+    lies: Mask
+    """`(H, W)`: what it covers after."""
 
     @classmethod
     def between(
@@ -56,15 +58,15 @@ class Carried:
         None where nothing was carried as it was said: it was missed or dropped, hardly moved, or is too flat to see.
         """
         lower = before - after
-        stood = _part_at(lower > _CHANGED_M, places[0], _NEAR_PX)
+        stood = _part_at(lower > CHANGED_M, places[0], _NEAR_PX)
         if stood is None:
             return None
         to = place_of(middle_of(stood), places, turn)
-        lies = _part_at(-lower > _CHANGED_M, to, _STRAY_PX)
+        lies = _part_at(-lower > CHANGED_M, to, _STRAY_PX)
         if lies is None:
             return None
         less, more = sorted((np.count_nonzero(stood), np.count_nonzero(lies)))
-        return cls(stood) if less >= _ALIKE * more else None
+        return cls(stood, lies) if less >= _ALIKE * more else None
 
     @cached_property
     def middle(self) -> FloatArray:
@@ -126,12 +128,23 @@ def middle_of(mask: Mask) -> FloatArray:
     return np.asarray(np.argwhere(mask)[:, ::-1].mean(axis=0), float)
 
 
-def _part_at(mask: Mask, at: FloatArray, within_px: float) -> Mask | None:
-    """What hangs together in a mask `(H, W)` and is nearest to `at` `(2,)`; None where nothing is so near."""
+def changed_parts(mask: Mask) -> Mask:
+    """What in a mask `(H, W)` is too large to be noise."""
+    return _large(mask) > 0
+
+
+def _large(mask: Mask) -> NDArray[np.int32]:
+    """What hangs together in a mask `(H, W)` and is too large to be noise, numbered; 0 elsewhere."""
     _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     keep = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PX
     keep[0] = False
-    v, u = np.nonzero(keep[parts])
+    return np.asarray(np.where(keep[parts], parts, 0), np.int32)
+
+
+def _part_at(mask: Mask, at: FloatArray, within_px: float) -> Mask | None:
+    """What hangs together in a mask `(H, W)` and is nearest to `at` `(2,)`; None where nothing is so near."""
+    parts = _large(mask)
+    v, u = np.nonzero(parts)
     if not len(v):
         return None
     off = np.hypot(u - at[0], v - at[1])
