@@ -106,7 +106,7 @@ def _settings(task: Task, cell: int) -> WorkcellSettings:
         handling=BLOCK_HANDLING,
         object_color=largest.color,
         object_size_m=largest.size_m,
-        object_symmetry=task.object_symmetry,
+        object_symmetry=1,  # a cup picks it anywhere, so a plan's turn is carried out as it is said
     )
 
 
