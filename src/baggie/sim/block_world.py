@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose, rigid
+from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml
 from baggie.sim.cell import Cell
@@ -136,8 +136,7 @@ class BlockWorld(ArmWorld):
 
     def planar_pose(self, name: str) -> PlanarPose:
         """Where its middle is above the table, and which way its x axis points there."""
-        T = self.pose(name)
-        return PlanarPose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
+        return planar_pose(self.pose(name))
 
     def _aside(self, names: Collection[str]) -> dict[str, PlanarPose]:
         return {

@@ -84,6 +84,11 @@ def extent_m(thing: Block | Fixture) -> FloatArray:
     return np.array([(middles - halves).min(axis=0), (middles + halves).max(axis=0)])
 
 
+def reach_m(thing: Block | Fixture) -> float:
+    """The radius of the disc about its frame's origin that holds it, seen from above; metres."""
+    return float(np.linalg.norm(np.abs(extent_m(thing)).max(axis=0)))
+
+
 def block_xml(block: Block) -> str:
     """A free body of this name, its joint's and its first geom's too."""
     more = "".join(
