@@ -9,7 +9,7 @@ import numpy as np
 
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import first_fit
-from baggie.sim.blocks import Block, distance_m, extent_m, reach_m
+from baggie.sim.blocks import Block, Fixture, distance_m, extent_m, reach_m
 from baggie.sim.cup import CUP_RADIUS_M
 from baggie.sim.tasks.layout import find_room
 from baggie.sim.tasks.oracle import carry, remaining
@@ -76,6 +76,6 @@ def _free(
     scene: Scene, poses: Mapping[str, FloatArray], radius_m: float, rng: np.random.Generator
 ) -> PlanarPose | None:
     """Where the table is free for a disc; None where no try found that."""
-    things = {thing.name: thing for thing in (*scene.blocks, *scene.fixtures)}
-    taken = {name: planar_pose(poses[name]) for name in things}
-    return find_room(radius_m, taken, {name: reach_m(thing) for name, thing in things.items()}, rng)
+    things: list[Block | Fixture] = [*scene.blocks, *scene.fixtures]
+    taken = {thing.name: planar_pose(poses[thing.name]) for thing in things}
+    return find_room(radius_m, taken, {thing.name: reach_m(thing) for thing in things}, rng)
