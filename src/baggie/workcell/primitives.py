@@ -113,6 +113,8 @@ def least_turn(arm: GuardedArm, action: PickPlace, handling: Handling, symmetry:
     turn what is picked looks the same about its middle, where it is picked; 1 where that is not known, 0 for at any
     angle. Raises `LimitError` where pick or place would, and `ReachError` where the arm can carry out no saying.
     Nothing moves.
+
+    A round tool holds alike at any yaw: it is turned at the pick where the arm could not turn so far at the place.
     """
     here = arm.pose().yaw
     sayings = sorted(
