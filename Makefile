@@ -43,7 +43,7 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	for protocol in few "whole-scenes --counts 1 10" published; do \
 	    $(BIN)/python benchmarks/pyramid.py $$protocol || exit; done
 	$(BIN)/python benchmarks/pyramid_media.py
-	for benchmark in decision train_step transporter block_demonstrations rehearsal rehearsal_media landing; do \
+	for benchmark in decision train_step transporter block_demonstrations demonstration_style rehearsal rehearsal_media landing; do \
 	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py

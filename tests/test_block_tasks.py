@@ -7,14 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose, rigid, transform_points
+from baggie.geometry import FloatArray, PlanarPose, transform_points
 from baggie.grid import Grid
-from baggie.sim.blocks import Block, Fixture
-from baggie.sim.tasks import TASKS, Scene, Slot, Stage, Task, find_task
+from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
+from baggie.sim.tasks import TASKS, Slot, Stage, Task, find_task
 from baggie.sim.tasks.layout import REACH
 from baggie.sim.tasks.oracle import carry, next_action
-from baggie.sim.tasks.scoring import RavensScore, all_filled, filled, yaw_of
+from baggie.sim.tasks.scoring import RavensScore, all_filled, filled
 from baggie.types import PickPlace
+from ideal_arm import carried, poses_of
 
 MARGIN_M = 0.05
 tasks = st.sampled_from(list(TASKS.values()))
@@ -22,43 +23,11 @@ seeds = st.integers(0, 2**32)
 pyramid = TASKS["block-pyramid"]
 
 
-def flat(pose: PlanarPose, z: float) -> FloatArray:
-    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
-    return rigid([[c, -s, 0], [s, c, 0], [0, 0, 1]], [pose.x, pose.y, z])
-
-
-def poses_of(scene: Scene) -> dict[str, FloatArray]:
-    heights = {block.name: block.size_m[2] / 2 for block in scene.blocks}
-    return {name: flat(pose, heights.get(name, 0.0)) for name, pose in scene.poses.items()}
-
-
 def footprint(thing: Block | Fixture, T: FloatArray) -> FloatArray:
     """`(4, 2)` corners on the table of the smallest box in the thing's frame that holds it."""
-    boxes = [((0.0, 0.0, 0.0), thing.size_m)] if isinstance(thing, Block) else []
-    if isinstance(thing, Fixture):
-        boxes = [(part.position_m, part.size_m) for part in thing.parts]
-    low = np.min([np.array(at) - np.array(size) / 2 for at, size in boxes], axis=0)
-    high = np.max([np.array(at) + np.array(size) / 2 for at, size in boxes], axis=0)
+    low, high = extent_m(thing)
     corners = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
     return transform_points(T, np.c_[corners, np.zeros(4)])[:, :2]
-
-
-def carried(action: PickPlace, scene: Scene, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """What an arm without any error would make of it: the block that is picked, on the slot under the place."""
-    pick, place = action.pick, action.place
-    name = min((block.name for block in scene.blocks), key=lambda each: pick.distance(planar(poses[each])))
-    block = planar(poses[name])
-    slots = [
-        slot.T_base_slot(poses) for stage in scene.stages if name in stage.blocks for slot in stage.slots
-    ]
-    height = min(slots, key=lambda T: place.distance(planar(T)))[2, 3]
-    # The block moves with the cup, which is at its middle.
-    moved = PlanarPose(place.x, place.y, block.yaw + place.yaw - pick.yaw)
-    return poses | {name: flat(moved, height)}
-
-
-def planar(T: FloatArray) -> PlanarPose:
-    return PlanarPose(float(T[0, 3]), float(T[1, 3]), yaw_of(T))
 
 
 @given(task=tasks, seed=seeds)
@@ -130,7 +99,7 @@ def test_stages_count_by_their_weights() -> None:
 
 
 STAGE = Stage(("a", "b"), (Slot(PlanarPose(0.4, 0.0, 0.3), 0.02), Slot(PlanarPose(0.4, 0.2), 0.02)), 1.0)
-FAR = flat(PlanarPose(0.6, -0.3), 0.02)
+FAR = PlanarPose(0.6, -0.3).upright(0.02)
 SLOT = PlanarPose(0.4, 0.0, 0.3)
 
 
@@ -154,19 +123,19 @@ def test_a_block_counts_within_a_centimetre_and_fifteen_degrees_of_what_looks_th
     if min(abs(abs(off_deg) - 15.0), 1e3 * abs(off_m - 0.01)) < 1e-3:
         return  # on the edge
     inside = off_m < 0.01 and abs(off_deg) < 15.0
-    assert reward_at(flat(at, 0.02), symmetry) == (0.5 if inside else 0.0)
-    assert reward_at(flat(at, 0.02), symmetry=0) == (0.5 if off_m < 0.01 else 0.0)
+    assert reward_at(at.upright(0.02), symmetry) == (0.5 if inside else 0.0)
+    assert reward_at(at.upright(0.02), symmetry=0) == (0.5 if off_m < 0.01 else 0.0)
 
 
 def test_what_ravens_does_not_see_is_no_strict_success() -> None:
-    good = {"a": flat(SLOT, 0.02), "b": flat(PlanarPose(0.4, 0.2), 0.02)}
+    good = {"a": SLOT.upright(0.02), "b": PlanarPose(0.4, 0.2).upright(0.02)}
     assert filled(STAGE, good) == {"a": 0, "b": 1}
     on_its_side = good["a"].copy()
     on_its_side[:3, :3] = on_its_side[:3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     for wrong in (
-        {"a": flat(SLOT, 0.06)},  # it stands on something
+        {"a": SLOT.upright(0.06)},  # it stands on something
         {"a": on_its_side},
-        {"b": flat(PlanarPose(SLOT.x + 0.005, SLOT.y, SLOT.yaw), 0.02)},  # two in one slot
+        {"b": PlanarPose(SLOT.x + 0.005, SLOT.y, SLOT.yaw).upright(0.02)},  # two in one slot
     ):
         score = RavensScore([STAGE])
         assert score.count(good | wrong) == 1.0
@@ -178,17 +147,17 @@ def test_what_ravens_does_not_see_is_no_strict_success() -> None:
 def test_two_near_one_slot_are_shared_out_where_that_is_possible() -> None:
     near = (Slot(PlanarPose(0.4, 0.0), 0.02), Slot(PlanarPose(0.4, 0.012), 0.02))
     stage = Stage(("a", "b"), near, 1.0)
-    poses = {"a": flat(PlanarPose(0.4, 0.006), 0.02), "b": flat(PlanarPose(0.4, -0.004), 0.02)}
+    poses = {"a": PlanarPose(0.4, 0.006).upright(0.02), "b": PlanarPose(0.4, -0.004).upright(0.02)}
     assert filled(stage, poses) == {"a": 1, "b": 0}
 
 
 def test_what_leaves_its_slot_is_taken_back_until_the_stage_is_full() -> None:
     score = RavensScore([STAGE])
-    at, beside = {"a": flat(SLOT, 0.02), "b": FAR}, {"a": FAR, "b": FAR}
+    at, beside = {"a": SLOT.upright(0.02), "b": FAR}, {"a": FAR, "b": FAR}
     assert score.count(at) == 0.5
     assert score.count(at) == 0.0
     assert score.count(beside) == -0.5
-    assert score.count({"a": flat(SLOT, 0.02), "b": flat(PlanarPose(0.4, 0.2), 0.02)}) == 1.0
+    assert score.count({"a": SLOT.upright(0.02), "b": PlanarPose(0.4, 0.2).upright(0.02)}) == 1.0
     assert score.done
     assert score.count(beside) == 0.0
     assert score.total == 1.0
@@ -210,16 +179,41 @@ def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
     # One of its corners is as near to the marked one as the gap allows, its sides along the bars.
     for slot in stage.slots:
         for turn in (0.0, np.pi):
-            T = slot.T_base_slot(poses) @ flat(PlanarPose(0.0, 0.0, turn), 0.0)
+            T = slot.T_base_slot(poses) @ PlanarPose(0.0, 0.0, turn).upright(0.0)
             assert filled(stage, poses | {"box": T})
             in_corner = np.linalg.inv(poses["corner"]) @ np.c_[footprint(box, T), np.zeros(4), np.ones(4)].T
             np.testing.assert_allclose(in_corner[:2].min(axis=1), 0.002, atol=1e-9)
-    quarter = stage.slots[0].T_base_slot(poses) @ flat(PlanarPose(0.0, 0.0, np.pi / 2), 0.0)
+    quarter = stage.slots[0].T_base_slot(poses) @ PlanarPose(0.0, 0.0, np.pi / 2).upright(0.0)
     assert not filled(stage, poses | {"box": quarter})
 
 
+def test_the_l_lies_in_its_outline_with_three_millimetres_of_play_one_way_round() -> None:
+    scene = find_task("block-insertion").draw(np.random.default_rng(3))
+    poses, (stage,) = poses_of(scene), scene.stages
+    (ell,), (outline,) = scene.blocks, scene.fixtures
+    (slot,) = stage.slots
+    T = slot.T_base_slot(poses)
+    axes = np.meshgrid(*np.linspace(*(extent_m(outline) * 1.2), 281).T)
+    grid = np.stack(axes, axis=-1)  # half a millimetre apart
+    of_ell, of_outline = (
+        distance_m(thing, grid.reshape(-1, 2)).reshape(281, 281) for thing in (ell, outline)
+    )
+    assert of_outline[of_ell == 0.0].min() == pytest.approx(0.003, abs=5e-4)
+    _, parts = cv2.connectedComponents((of_outline > 0.0).astype(np.uint8), connectivity=4)
+    assert len(set(parts[of_ell == 0.0])) == 1  # it lies in one room
+    assert parts[0, 0] not in parts[of_ell == 0.0]  # which has no way out
+    for turn, off, fits in ((0.0, 0.009, True), (0.25, 0.0, True), (0.0, 0.011, False), (0.27, 0.0, False)):
+        ends = {"ell": T @ PlanarPose(off, 0.0, turn).upright(0.0)}
+        assert bool(filled(stage, poses | ends)) is fits
+    for quarter in (1, 2, 3):
+        ends = {"ell": T @ PlanarPose(0.0, 0.0, quarter * np.pi / 2).upright(0.0)}
+        assert not filled(stage, poses | ends)
+
+
 def test_bowls_hold_a_block_at_any_yaw() -> None:
-    action = carry(flat(PlanarPose(0.5, 0.1, 2.0), 0.02), flat(PlanarPose(0.4, -0.1, 1.0), 0.025), symmetry=0)
+    action = carry(
+        PlanarPose(0.5, 0.1, 2.0).upright(0.02), PlanarPose(0.4, -0.1, 1.0).upright(0.025), symmetry=0
+    )
     assert action == PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.4, -0.1, 0.0))
 
 

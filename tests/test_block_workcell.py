@@ -12,6 +12,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError, CameraError
 from baggie.geometry import PlanarPose
 from baggie.grid import Grid
+from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
@@ -113,6 +114,45 @@ def test_boxes_of_many_sizes_are_aligned() -> None:
     assert len(sizes) == 4
     with pytest.raises(CameraError, match="pictures=True"):
         cell.look()
+
+
+@pytest.fixture(scope="module")
+def insertion() -> BlockWorkcell:
+    return open_block_workcell("block-insertion", pictures=False)
+
+
+@pytest.mark.parametrize("seed", [10, 28])  # turned to where the wrist would end at its limit
+def test_the_l_is_put_into_its_outline_at_the_first_try(insertion: BlockWorkcell, seed: int) -> None:
+    insertion.reset([COLLECTION, 3, seed])
+    action = insertion.demonstrate()
+    assert action is not None
+    assert action.pick.yaw == 0.0
+    assert abs(action.place.yaw) > 2.0
+    insertion.arm.park()
+    outcome = insertion.execute(action)
+    assert outcome.success
+    assert outcome.executed.pick.distance(action.pick) < 0.002
+    assert outcome.executed.place.distance(action.place) < 0.003
+    assert insertion.count() == 1.0
+    assert insertion.demonstrate() is None
+    assert insertion.strict_success()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_in_the_style_of_others_the_l_ends_in_its_outline_too(insertion: BlockWorkcell, seed: int) -> None:
+    insertion.reset([seed])
+    own = insertion.demonstrate()
+    for step in range(insertion.task.max_steps):
+        action = insertion.demonstrate(generator(STYLE, 0, seed, step))
+        if action is None:
+            break
+        insertion.execute(action)
+        insertion.count()
+    assert insertion.strict_success()
+    insertion.reset([seed])
+    first = insertion.demonstrate(generator(STYLE, 0, seed, 0))
+    assert first == insertion.demonstrate(generator(STYLE, 0, seed, 0))  # by its stream alone
+    assert own == insertion.demonstrate() != first
 
 
 def shown_at(

@@ -1,6 +1,7 @@
 """Demonstrations of tasks with several steps: recorded once each, whatever interrupts them."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from baggie.collect import demonstrations as module
 from baggie.collect.demonstrations import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
+from baggie.evaluation.would_count import choices
 from baggie.grid import Grid
+from baggie.types import PickPlace
 from streaming import stream_here
 
 GRID = Grid()
@@ -80,6 +83,42 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(
     collect(options(out, workers=1))  # all is there
     assert {path: path.read_bytes() for path in out.rglob("*.parquet")} == before
     shutil.rmtree(out)
+
+
+def test_the_style_of_others_is_recorded_and_shown_again_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+    chosen = CollectOptions(
+        tmp_path / "a", task="align-box-corner", attempts=2, seed=1, style="varied", workers=1
+    )
+    assert "--style varied" in chosen.command()
+    collect(chosen)
+    collect(replace(chosen, out=tmp_path / "b"))
+    first, again = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "b")
+    assert first.collection["style"] == "varied"
+    np.testing.assert_array_equal(first.numbers()["commanded"], again.numbers()["commanded"])
+    off = [
+        choices(first)[int(attempt_id)].blocks[0][1].distance(PickPlace.from_array(commanded).pick)
+        for attempt_id, commanded in zip(first.attempt_ids, first.numbers()["commanded"], strict=True)
+    ]
+    assert min(off) > 0.002  # not by its middle
+    with pytest.raises(BaggieError, match="style = 'varied'"):
+        collect(replace(chosen, style="plain"))
+
+
+def test_our_own_style_is_what_recordings_without_one_are_in(recorded: Path) -> None:
+    assert "style" not in open_dataset(recorded).collection
+    assert "--style" not in options(recorded).command()
+    with pytest.raises(BaggieError, match="style = None"):
+        collect(options(recorded, style="varied"))
+
+
+def test_only_what_is_demonstrated_has_a_style(tmp_path: Path) -> None:
+    with pytest.raises(BaggieError, match="no --style with --task bag-place"):
+        collect(CollectOptions(tmp_path / "x", style="varied"))
+    with pytest.raises(BaggieError, match="a style among plain, varied"):
+        collect(options(tmp_path / "x", style="odd"))
 
 
 def test_what_may_have_been_cut_short_is_shown_again() -> None:

@@ -1,12 +1,14 @@
 """Validation on tasks of several steps: held-out episodes, turns modulo symmetry, and what would count as right."""
 
+import functools
 import math
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.data import DatasetWriter, open_dataset
@@ -14,24 +16,45 @@ from baggie.evaluation import validate as module
 from baggie.evaluation.heldout import demonstrations
 from baggie.evaluation.metrics import success_rate, turn_error_deg
 from baggie.evaluation.validate import ValidateOptions, validate
-from baggie.evaluation.would_count import Choices
+from baggie.evaluation.would_count import Choices, Done, replayed
 from baggie.geometry import PlanarPose
 from baggie.grid import Grid
+from baggie.seeds import COLLECTION, STYLE, generator
+from baggie.sim.blocks import Block
+from baggie.sim.tasks import TASKS, varied
+from baggie.sim.tasks.oracle import next_action
+from baggie.sim.tasks.scoring import RavensScore
+from baggie.sim.tasks.varied import varied_action
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
+from ideal_arm import carried, poses_of
 
-GRID = Grid(x=(0.3, 0.62), y=(-0.3, 0.3), pixel_m=0.01)
+GRID = Grid(x=(0.25, 0.75), y=(-0.5, 0.5), pixel_m=0.01)
 STEPS, EPISODES, UNFINISHED = 6, 3, 1
 """Of a pyramid of blocks."""
 NOWHERE = np.full((4, 2), np.nan)
+PYRAMID = TASKS["block-pyramid"]
 
 yaws = st.floats(-math.pi, math.pi)
 poses = st.builds(PlanarPose, st.floats(0.3, 0.6), st.floats(-0.3, 0.3), yaws)
 
 
+def scene_of(episode):
+    return PYRAMID.draw(generator(COLLECTION, 0, episode))
+
+
+@functools.cache
+def steps_of(episode):
+    """What our own demonstrator does, by an arm without any error."""
+    scene = scene_of(episode)
+    there, steps = poses_of(scene), []
+    while (action := next_action(scene.stages, there)) is not None:
+        there = carried(action, scene, there)
+        steps.append(action)
+    return steps
+
+
 def step_of(episode, step):
-    """Blocks 5 cm apart go to slots 5 cm apart; each is turned by another angle."""
-    pick = PlanarPose(0.35, -0.2 + 0.05 * step + 0.01 * episode)
-    return PickPlace(pick, PlanarPose(0.5, -0.15 + 0.05 * step, 0.1 * step))
+    return steps_of(episode)[step]
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +134,9 @@ def test_another_block_of_the_same_row_is_far_off_and_would_count(tmp_path, reco
     metrics = validated(
         tmp_path, recording, monkeypatch, lambda e, s: step_of(e, 1) if s == 0 else step_of(e, s)
     )
-    assert metrics["labels"]["pick_error_cm"]["max"] == pytest.approx(5.0)
+    apart = step_of(2, 0).pick.distance(step_of(2, 1).pick)
+    assert metrics["labels"]["pick_error_cm"]["max"] == pytest.approx(100 * apart)
+    assert apart > 0.05
     assert metrics["would_count"]["both"] == success_rate(STEPS, STEPS)
 
 
@@ -134,17 +159,75 @@ def test_a_turn_is_known_modulo_symmetry_whatever_way_the_cup_held(pick, place, 
     assert turn_error_deg(wrong, right, 0) == 0.0
 
 
-@given(st.permutations(range(3)), st.floats(0, 0.0099), yaws, st.booleans())
-def test_any_block_in_any_slot_counts_within_a_centimetre_and_no_further(order, off, direction, beyond):
-    """Turned as that block has to be, whichever slot it goes to."""
-    actions = [step_of(0, step) for step in range(3)]
-    choices = Choices(actions, symmetry=4)
-    block, slot = actions[order[0]], actions[order[1]].place
-    length = off + (0.0101 if beyond else 0.0)
-    dx, dy = length * math.cos(direction), length * math.sin(direction)
-    pick = PlanarPose(block.pick.x + dx, block.pick.y + dy)
-    place = PlanarPose(slot.x + dx, slot.y + dy, block.place.yaw)
-    planned = PickPlace(pick, place)
-    assert choices.pick_counts(planned) is choices.place_counts(planned) is not beyond
-    turned = PickPlace(pick, replace(place, yaw=place.yaw + math.radians(16)))
-    assert not choices.place_counts(turned)
+SIDE = 0.04
+BLOCK_POSES = (PlanarPose(0.35, -0.2, 0.3), PlanarPose(0.35, 0.0, -1.0), PlanarPose(0.4, 0.2, 2.0))
+SLOTS = (PlanarPose(0.55, -0.1, 0.2), PlanarPose(0.55, -0.05, 0.2))
+
+
+on_it = st.builds(PlanarPose, st.floats(-0.0199, 0.0199), st.floats(-0.0199, 0.0199), yaws)
+misses = st.tuples(st.floats(0, 0.0099), st.floats(0, math.radians(14.9)), yaws)
+
+
+@given(st.integers(0, 2), st.integers(0, 1), on_it, st.integers(0, 3), misses)
+def test_any_block_picked_anywhere_counts_where_it_comes_to_lie_in_any_slot(block, slot, at, alike, miss):
+    """Within a centimetre and fifteen degrees of it, whatever looks the same and however the cup is turned."""
+    choices = Choices([(Block(f"{n}", (SIDE,) * 3), pose) for n, pose in enumerate(BLOCK_POSES)], SLOTS, 4)
+    pick, (off, turned, direction) = BLOCK_POSES[block] @ at, miss
+
+    def placed(metres, radians):
+        ends = PlanarPose(
+            SLOTS[slot].x + metres * math.cos(direction),
+            SLOTS[slot].y + metres * math.sin(direction),
+            SLOTS[slot].yaw + alike * math.pi / 2 + radians,
+        )
+        return PickPlace(pick, ends @ at)
+
+    right = placed(off, turned)
+    assert choices.pick_counts(right)
+    assert choices.place_counts(right)
+    assert not choices.place_counts(placed(off + 0.0101, turned))
+    assert not choices.place_counts(placed(off, turned + math.radians(15.2)))
+    assert replace(choices, symmetry=1).place_counts(right) is (alike == 0)
+    assert replace(choices, symmetry=0).place_counts(placed(off, turned + 0.4))
+    beside = PickPlace(BLOCK_POSES[block] @ PlanarPose(SIDE / 2 + 0.001, at.y), right.place)
+    assert not choices.pick_counts(beside)
+
+
+def played(scene, seed):
+    """Recorded steps of the style of others, each with what it earned, and what was right before each."""
+    there, score, steps = poses_of(scene), RavensScore(scene.stages), []
+    for step in range(100):
+        action = varied_action(scene, there, generator(STYLE, seed, 0, step))
+        if action is None:
+            return steps
+        after = carried(action, scene, there)
+        moved = [name for name in after if after[name] is not there[name]]
+        steps.append(Done(action, None if moved else "missed-grasp", score.count(after)))
+        there = after
+    raise AssertionError
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(list(TASKS.values())), st.integers(0, 2**32))
+def test_of_every_style_all_counts_that_earned_something_and_nothing_that_was_wasted(task, seed):
+    scene = task.draw(np.random.default_rng(seed))
+    with patch.object(varied, "WASTED", 0.3):
+        steps = played(scene, seed)
+    told = list(replayed(scene, steps))
+    assert len(told) == len(steps)
+    for step, choices in zip(steps, told, strict=True):
+        counts = choices.pick_counts(step.executed) and choices.place_counts(step.executed)
+        assert counts is (step.reward > 0.0)
+
+
+def test_where_steps_do_not_tell_where_things_went_nothing_is_said_any_more():
+    scene = scene_of(0)
+    right = [Done(action, None, 1 / STEPS) for action in steps_of(0)]
+    assert len(list(replayed(scene, right))) == STEPS
+    for wrong in (
+        Done(right[2].executed, None, 0.0),  # it was said to have earned nothing
+        Done(right[2].executed, None, math.nan),
+        Done(right[2].executed, "dropped", 0.0),
+        Done(replace(right[2].executed, pick=PlanarPose(0.3, 0.45)), None, 0.0),  # where nothing lay
+    ):
+        assert len(list(replayed(scene, [*right[:2], wrong, *right[3:]]))) == 3

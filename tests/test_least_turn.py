@@ -138,6 +138,17 @@ def test_the_hand_turns_least_and_to_what_was_meant_or_nothing_moves(
     assert any(all(abs(wrap_angle(each + half, alike)) < 0.01 for each in off) for half in (0.0, math.pi))
 
 
+@given(yaws)
+def test_a_cup_is_turned_at_the_pick_where_the_wrist_could_not_turn_so_far_at_the_place(turn: float) -> None:
+    """It holds alike at any angle: only the turn between both has to be what was said."""
+    arm = WristArm(-2.2, 2.2)
+    arm.info = replace(arm.info, tool_symmetry=0)
+    executed = carry(arm, said(0.0, turn), symmetry=1).executed
+    assert wrap_angle(executed.place.yaw - executed.pick.yaw - turn) == pytest.approx(0.0, abs=1e-6)
+    if abs(turn) < 2.1:
+        assert executed.pick.yaw == 0.0
+
+
 @given(st.floats(-math.pi / 4 + 0.01, math.pi / 4 - 0.01), st.floats(-math.pi / 4 + 0.01, math.pi / 4 - 0.01))
 def test_what_turns_least_is_carried_out_to_the_bit_as_it_is_said(pick_yaw: float, turn: float) -> None:
     action = said(pick_yaw, pick_yaw + turn)

@@ -288,6 +288,18 @@ def test_inverse_kinematics_inverts_forward_kinematics() -> None:
             assert np.linalg.norm(along - (along @ direction) * direction) < 0.003
 
 
+def test_a_path_that_would_leave_its_line_at_a_joint_limit_is_refused() -> None:
+    kinematics = Kinematics(arm_spec("cup").compile(), HOME)
+    above = kinematics.line(HOME, ToolPose(0.47, 0.08, 0.18, -2.1))[-1]
+    lower = ToolPose(0.47, 0.08, 0.0, -2.1)
+    with pytest.raises(
+        ReachError, match=r"cannot follow a straight line to x 0.470, .*mm beside it on the way"
+    ):
+        kinematics._line(above, lower)
+    reached = kinematics.tool_pose(kinematics.line(HOME, lower)[-1])  # by another way
+    np.testing.assert_allclose(reached.xyz, lower.xyz, atol=5e-4)
+
+
 @given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-20, 20))
 def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     x: float, y: float, yaw: float, turns: int

@@ -11,7 +11,9 @@ from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block, stand
 from baggie.sim.cell import draw_cell
 from baggie.sim.cup import CUP_RADIUS_M
+from baggie.sim.renderer import HIDDEN_GROUP
 from baggie.sim.suction import HOLDING_N, RIM_POINTS, is_flat
+from baggie.sim.tasks import TASKS
 from baggie.workcell.arm import Arm
 from baggie.workcell.primitives import pick, place
 from baggie.workcell.simulated_arm import SimulatedArm
@@ -205,6 +207,38 @@ def test_what_is_fixed_can_be_moved_though_blocks_sleep(world: BlockWorld, arm: 
     world.advance(0.1)
     table.contype[:] = table.conaffinity[:] = 1  # for the tests that come after
     assert max(world.pose(name)[2, 3] for name in world.blocks) < 0.0
+
+
+def test_a_block_of_several_boxes_is_one_body() -> None:
+    (ell,) = TASKS["block-insertion"].blocks
+    world = BlockWorld(draw_cell(0), [ell, Block("block0")])
+    body = world.model.body("ell")
+    assert body.mass[0] == pytest.approx(ell.mass_kg)
+    np.testing.assert_allclose(ell.mass_kg, 600.0 * 0.04 * (0.1**2 - 0.06**2))  # a square without its notch
+    geoms = np.flatnonzero(world.model.geom_bodyid == body.id)
+    assert len(geoms) == 3
+    start = {"ell": PlanarPose(0.5, -0.1, 0.4), "block0": PlanarPose(0.5, 0.2)}
+    world.reset(start)
+    assert (world.model.geom_group[geoms] == 0).all()
+    arm = SuctionArm(world)
+    at_end = start["ell"] @ PlanarPose(0.065, 0.0)  # of a leg, 65 mm beside its frame
+    goal = PlanarPose(0.45, 0.25, 1.0)
+    assert pick(arm, replace(at_end, yaw=0.0), BLOCK_HANDLING).held
+    assert world.suction.held == "ell"
+    place(arm, goal, BLOCK_HANDLING)
+    world.advance(0.2)
+    expected = goal @ replace(at_end, yaw=0.0).inverse() @ start["ell"]
+    there = world.planar_pose("ell")
+    assert there.distance(expected) < 0.003
+    assert abs(wrap_angle(there.yaw - expected.yaw)) < np.deg2rad(1.5)
+    with pytest.raises(BaggieError, match="only its colours may change"):
+        world.reshape([replace(ell, more=ell.more[:1])])
+    with pytest.raises(BaggieError, match="only its colours may change"):
+        world.reshape([replace(ell, size_m=(0.05, 0.05, 0.04))])
+    world.reshape([replace(ell, color=(1, 2, 3))])
+    np.testing.assert_allclose(world.model.geom_rgba[geoms[0], :3], np.array([1, 2, 3]) / 255, rtol=1e-6)
+    world.reset({"block0": start["block0"]}, aside=["ell"])
+    assert (world.model.geom_group[geoms] == HIDDEN_GROUP).all()
 
 
 def test_bad_names_are_said_so(world: BlockWorld) -> None:

@@ -24,6 +24,7 @@ for _name, _task in (
     ("BlockPyramid", "block-pyramid"),
     ("PlaceRedInGreen", "place-red-in-green"),
     ("AlignBoxCorner", "align-box-corner"),
+    ("BlockInsertion", "block-insertion"),
 ):
     gymnasium.register(
         f"baggie/{_name}-v0", entry_point="baggie.envs.blocks:BlockEnv", kwargs={"task": _task}

@@ -81,9 +81,22 @@ class PlanarPose:
         own = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
         return apply_homography(self.matrix(), own)
 
+    def upright(self, z: float) -> FloatArray:
+        """`T_base_body` `(4, 4)` of what stands here, its frame `z` metres above the table."""
+        T_base_body = np.eye(4)
+        T_base_body[:2, [0, 1, 3]] = self.matrix()[:2]
+        T_base_body[2, 3] = z
+        return T_base_body
+
     def at_height(self, z: float) -> ToolPose:
         """The tool pointing straight down at this pose, its tip `z` metres above the table."""
         return ToolPose(self.x, self.y, z, self.yaw)
+
+
+def planar_pose(T_base_body: FloatArray) -> PlanarPose:
+    """Where the origin of a body's frame is above the table, and which way its x axis points there; `(4, 4)`."""
+    T = T_base_body
+    return PlanarPose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
 
 
 @dataclass(frozen=True)

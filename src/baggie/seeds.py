@@ -17,6 +17,8 @@ COLLECTION: Final = 0xC011EC7
 """Scenes in which demonstrations are collected: `(COLLECTION, seed, sitting)`."""
 PLACES: Final = 0x97ACE5
 """Where the collector carries the object: `(PLACES, seed, sitting)`."""
+STYLE: Final = 0x57E1E
+"""What a demonstrator in the style of others chooses: `(STYLE, seed, demonstration, step)`."""
 CALIBRATION: Final = 0xCA11B8
 """Scenes in which a cell is calibrated: `(CALIBRATION, seed)`."""
 EVALUATION: Final = 0xE7A10A7E

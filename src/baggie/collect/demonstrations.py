@@ -19,6 +19,7 @@ from baggie.errors import LimitError, ReachError
 from baggie.grid import Grid
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
+from baggie.seeds import generator
 from baggie.sim.tasks import Task, find_task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 
@@ -39,8 +40,8 @@ class DemonstratorCell(Protocol):
         """The table from straight above, the arm out of the way."""
         ...
 
-    def demonstrate(self) -> PickPlace | None:
-        """What to do next; None when all is done."""
+    def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
+        """What to do next; None when all is done. With a stream in the style of others, drawn from it."""
         ...
 
     def execute(self, action: PickPlace) -> Outcome:
@@ -80,7 +81,8 @@ def demonstrate(cell: DemonstratorCell, recording: Recording, number: int) -> li
 def _steps(cell: DemonstratorCell, recording: Recording, number: int) -> Iterator[Attempt]:
     before = cell.look()
     for step in range(cell.task.max_steps):
-        began, action = cell.clock(), cell.demonstrate()
+        whims = generator(seeds.STYLE, recording.seed, number, step) if recording.style == "varied" else None
+        began, action = cell.clock(), cell.demonstrate(whims)
         if action is None:
             return
         try:
@@ -136,7 +138,7 @@ def record_demonstrations(
     """
     task, grid = find_task(options.task), Grid()
     rows, columns = grid.shape
-    recording = Recording(task.instruction, options.seed, options.cell, (columns, rows))
+    recording = Recording(task.instruction, options.seed, options.cell, (columns, rows), options.style)
     with DatasetWriter(
         options.out,
         task=task.instruction,
@@ -147,6 +149,7 @@ def record_demonstrations(
             "seed": options.seed,
             "cell": options.cell,
             "object_symmetry": task.object_symmetry,
+            **({} if options.style == "plain" else {"style": options.style}),
         },
     ) as writer:
         try:

@@ -17,6 +17,9 @@ INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
 CollectedScenery = Literal["plain", "varied"]
 """What a recording may show: what others show is kept for evaluation."""
 
+CollectedStyle = Literal["plain", "varied"]
+"""How whoever demonstrates goes about it."""
+
 
 @dataclass(frozen=True)
 class CollectOptions(Options):
@@ -26,7 +29,8 @@ class CollectOptions(Options):
     """Folder of the recording. The same command again goes on where it stopped."""
     task: str = "bag-place"
     """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
-    which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner.
+    which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner,
+    block-insertion.
     """
     attempts: Count = 300
     """How many there are to be in the end, failed ones included; with blocks, whole demonstrations."""
@@ -36,6 +40,10 @@ class CollectOptions(Options):
     """Number of the simulated workcell."""
     scenery: CollectedScenery = "plain"
     """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
+    style: CollectedStyle = "plain"
+    """With blocks: things are picked by their middles and in a fixed order; or, `varied`, as others demonstrate:
+    anywhere and in any order, and a step is wasted now and then.
+    """
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
     workers: Workers | None = None
@@ -47,9 +55,12 @@ class CollectOptions(Options):
         """Raise `UsageError` for what cannot be collected."""
         if self.task not in INSTRUCTIONS and self.task not in TASKS:
             raise UsageError(f"expected a task among {', '.join([*INSTRUCTIONS, *TASKS])}, got {self.task!r}")
-        known = get_args(CollectedScenery)
-        if self.scenery not in known:
-            raise UsageError(f"expected a scenery among {', '.join(known)}, got {self.scenery!r}")
+        for name, chosen, known in (
+            ("scenery", self.scenery, get_args(CollectedScenery)),
+            ("style", self.style, get_args(CollectedStyle)),
+        ):
+            if chosen not in known:
+                raise UsageError(f"expected a {name} among {', '.join(known)}, got {chosen!r}")
         if self.scenery != "plain" and self.workcell is not None:
             raise UsageError(
                 f"expected the scenery plain with --workcell, which says what the bag is, got {self.scenery!r}; "
@@ -59,6 +70,12 @@ class CollectOptions(Options):
             raise UsageError(
                 f"expected neither --scenery nor --workcell with --task {self.task}, which has a cell of its own; "
                 "leave them out"
+            )
+
+        if not self.demonstrated and self.style != "plain":
+            raise UsageError(
+                f"expected no --style with --task {self.task}, which nobody demonstrates, got {self.style}; leave it "
+                f"out, or take a task among {', '.join(TASKS)}"
             )
 
     @property
@@ -76,6 +93,7 @@ class CollectOptions(Options):
         words = ["baggie", "collect", "--task", self.task, "--attempts", str(self.attempts)]
         words += ["--seed", str(self.seed), "--cell", str(self.cell), "--out", str(self.out)]
         words += [] if self.scenery == "plain" else ["--scenery", self.scenery]
+        words += [] if self.style == "plain" else ["--style", self.style]
         words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
         words += [] if self.wait == 0 else ["--wait", f"{self.wait:g}"]

@@ -15,6 +15,7 @@ from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.machine import Turn, run_turn, stopped
+from baggie.collect.options import CollectedStyle
 from baggie.data.record import fit
 from baggie.geometry import FloatArray
 from baggie.types import Attempt, Truth
@@ -35,6 +36,8 @@ class Recording:
     cell: int
     size: tuple[int, int]
     """`(width, height)` of the recorded pictures, pixels."""
+    style: CollectedStyle = "plain"
+    """Of whoever demonstrates."""
 
 
 def run_sitting(

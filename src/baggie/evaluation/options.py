@@ -35,7 +35,7 @@ class EvaluateOptions(Options):
     """Where metrics.json, the log of episodes, pictures and videos go."""
     task: str = "bag-place"
     """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
-    block-pyramid, place-red-in-green, align-box-corner.
+    block-pyramid, place-red-in-green, align-box-corner, block-insertion.
     """
     episodes: Count = 100
     """How many scenes."""

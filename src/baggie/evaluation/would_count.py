@@ -2,54 +2,59 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from baggie.data import Dataset
-from baggie.evaluation.metrics import Rate, success_rate, turn_error_deg
+from baggie.evaluation.metrics import Rate, success_rate
 from baggie.evaluation.predictions import Prediction
+from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import COLLECTION, generator
-from baggie.sim.tasks import TASKS, Stage
-from baggie.sim.tasks.scoring import ANGLE_RAD, POSITION_M
+from baggie.sim.blocks import Block, distance_m
+from baggie.sim.tasks import TASKS, Scene
+from baggie.sim.tasks.oracle import remaining
+from baggie.sim.tasks.scoring import RavensScore, counts
 from baggie.types import PickPlace
+
+_SAME_REWARD = 1e-3
+"""Rewards are recorded as float32."""
 
 
 @dataclass(frozen=True)
 class Choices:
     """What was as right as one recorded step."""
 
-    actions: Sequence[PickPlace]
-    """That step and those that the demonstrator did later in the same stage: the blocks still to be moved, and the
-    slots still free.
-    """
+    blocks: Sequence[tuple[Block, PlanarPose]]
+    """Those still to be moved in this stage, and where they are."""
+    slots: Sequence[PlanarPose]
+    """Those of the stage that are still free."""
     symmetry: int
     """How often a turn the stage's blocks look the same; 0 for at any angle."""
 
     def pick_counts(self, planned: PickPlace) -> bool:
-        """Whether it picks within 1 cm of one of the blocks."""
-        return self._nearest(planned).pick.distance(planned.pick) < POSITION_M
+        """Whether it picks one of the blocks, anywhere."""
+        block, pose = self._nearest(planned.pick)
+        return _away_m(block, pose, planned.pick) == 0.0
 
     def place_counts(self, planned: PickPlace) -> bool:
-        """Whether it places within 1 cm of one of the slots, turned within 15 degrees as the nearest block has to be.
+        """Whether the block that is picked, or the nearest one, comes to lie within 1 cm and 15 degrees of a slot.
 
-        All slots of a stage are taken to lie the same way.
+        Held where it is picked and turned as planned; turned, too, by what looks the same.
         """
-        near = min(planned.place.distance(action.place) for action in self.actions) < POSITION_M
-        turn = turn_error_deg(planned, self._nearest(planned), self.symmetry)
-        return near and turn < math.degrees(ANGLE_RAD)
+        _, pose = self._nearest(planned.pick)
+        ends = carried(planned, pose).upright(0.0)
+        return any(counts(ends, slot.upright(0.0), self.symmetry) for slot in self.slots)
 
-    def _nearest(self, planned: PickPlace) -> PickPlace:
-        return min(self.actions, key=lambda action: action.pick.distance(planned.pick))
+    def _nearest(self, pick: PlanarPose) -> tuple[Block, PlanarPose]:
+        return min(self.blocks, key=lambda each: _away_m(each[0], each[1], pick))
 
 
 def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str, Rate]:
     """The share of `pick`, of `place` and of `both` that would count as Ravens counts; a missing plan does not.
 
-    Empty where the recording does not tell: it is not of one of our tasks, or no step is of a whole demonstration.
+    Empty where the recording does not tell: it is not of one of our tasks.
     """
     known = choices(dataset)
     found = [(p.action, known[p.attempt_id]) for p in predictions if p.attempt_id in known]
@@ -59,36 +64,101 @@ def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str
     places = [action is not None and right.place_counts(action) for action, right in found]
     both = [pick and place for pick, place in zip(picks, places, strict=True)]
     return {
-        name: success_rate(sum(counts), len(found))
-        for name, counts in (("pick", picks), ("place", places), ("both", both))
+        name: success_rate(sum(counted), len(found))
+        for name, counted in (("pick", picks), ("place", places), ("both", both))
     }
 
 
 def choices(dataset: Dataset) -> dict[int, Choices]:
-    """By attempt id, of demonstrations that took one step for each block."""
+    """By attempt id, of every step until which the recording says where things were."""
     task = TASKS.get(dataset.collection.get("task", ""))
     if task is None:
         return {}
     found: dict[int, Choices] = {}
-    numbers = dataset.numbers()
+    numbers, failures = dataset.numbers(), dataset.failures
     for episode in np.unique(dataset.episodes):
         rows = np.flatnonzero(dataset.episodes == episode)
         rows = rows[np.argsort(numbers["step"][rows])]
-        # The scene was drawn from this stream: it says again which stages it had.
-        stages = task.draw(generator(COLLECTION, dataset.collection["seed"], int(episode))).stages
-        if len(rows) == sum(len(stage.blocks) for stage in stages) and numbers["success"][rows].all():
-            found |= _of_episode(stages, rows.tolist(), dataset.attempt_ids, numbers)
+        # The scene was drawn from this stream: drawn again, it says where everything was.
+        scene = task.draw(generator(COLLECTION, dataset.collection["seed"], int(episode)))
+        done = [
+            Done(PickPlace.from_array(numbers["executed"][row]), failures[row], float(numbers["reward"][row]))
+            for row in rows
+        ]
+        found |= dict(zip(map(int, dataset.attempt_ids[rows]), replayed(scene, done), strict=False))
     return found
 
 
-def _of_episode(
-    stages: Sequence[Stage], rows: Sequence[int], attempt_ids: np.ndarray, numbers: Mapping[str, Any]
-) -> dict[int, Choices]:
-    found, begin = {}, 0
-    for stage in stages:
-        of_stage = rows[begin : begin + len(stage.blocks)]
-        actions = [PickPlace.from_array(numbers["executed"][row]) for row in of_stage]
-        for step, row in enumerate(of_stage):
-            found[int(attempt_ids[row])] = Choices(actions[step:], stage.symmetry)
-        begin += len(stage.blocks)
-    return found
+@dataclass(frozen=True)
+class Done:
+    """What is recorded of one step."""
+
+    executed: PickPlace
+    failure: str | None
+    """What went wrong, if anything."""
+    reward: float
+    """What it earned."""
+
+
+def replayed(scene: Scene, steps: Sequence[Done]) -> Iterator[Choices]:
+    """What was as right as each of these steps, from the scene's beginning; it ends where the steps no longer tell.
+
+    What is picked goes where it is carried. Where that does not earn what was recorded, things went otherwise.
+    """
+    blocks = {block.name: block for block in scene.blocks}
+    poses = {
+        name: pose.upright(blocks[name].size_m[2] / 2 if name in blocks else 0.0)
+        for name, pose in scene.poses.items()
+    }
+    score = RavensScore(scene.stages)
+    for step in steps:
+        left = remaining(scene.stages, poses)
+        if left is None:
+            return
+        yield Choices(
+            [(blocks[name], planar_pose(poses[name])) for name in left.blocks],
+            [planar_pose(slot.T_base_slot(poses)) for slot in left.slots],
+            left.stage.symmetry,
+        )
+        if step.failure != "missed-grasp":
+            moved = _moved(scene, poses, step.executed) if step.failure is None else None
+            if moved is None:
+                return
+            poses |= moved
+        if not abs(score.count(poses) - step.reward) < _SAME_REWARD:  # nor where nobody counted
+            return
+
+
+def carried(action: PickPlace, pose: PlanarPose) -> PlanarPose:
+    """Where a thing comes to lie that is at `pose` and moves with the hand from the pick to the place."""
+    return action.place @ action.pick.inverse() @ pose
+
+
+def _moved(
+    scene: Scene, poses: Mapping[str, FloatArray], executed: PickPlace
+) -> dict[str, FloatArray] | None:
+    """What was carried, by name, and where it is now, `T_base_block` `(4, 4)`; None where nothing was under the cup."""
+    under = [
+        block
+        for block in scene.blocks
+        if _away_m(block, planar_pose(poses[block.name]), executed.pick) == 0.0
+    ]
+    if not under:
+        return None
+    block = max(under, key=lambda each: float(poses[each.name][2, 3]))
+    ends = carried(executed, planar_pose(poses[block.name]))
+    slots = [
+        (slot.T_base_slot(poses), stage.symmetry)
+        for stage in scene.stages
+        if block.name in stage.blocks
+        for slot in stage.slots
+    ]
+    # In a slot it is as high as the slot is, elsewhere on the table.
+    heights = [T[2, 3] for T, symmetry in slots if counts(ends.upright(0.0), T, symmetry)]
+    return {block.name: ends.upright(max(heights, default=block.size_m[2] / 2))}
+
+
+def _away_m(block: Block, pose: PlanarPose, point: PlanarPose) -> float:
+    """Metres from a block at `pose`, seen from above, to a point; 0 upon it."""
+    at = pose.inverse() @ point
+    return float(distance_m(block, at.xy[None])[0])

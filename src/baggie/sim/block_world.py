@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose, rigid
+from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml
 from baggie.sim.cell import Cell
@@ -50,8 +50,9 @@ class BlockWorld(ArmWorld):
             raise BaggieError(f"expected a name of its own for every block and fixture, got {names}")
         super().__init__(cell, _build(cell, blocks, fixtures, cameras))
         self.suction = Suction(self.model, self.data, self.blocks)
-        self._bodies = [self.model.body(name).id for name in self.blocks]
-        self._geoms = [self.model.geom(name).id for name in self.blocks]
+        of_body = {self.model.body(name).id: name for name in self.blocks}
+        self._geoms = np.flatnonzero(np.isin(self.model.geom_bodyid, list(of_body)))
+        self._block_of_geom = np.array([of_body[body] for body in self.model.geom_bodyid[self._geoms]])
         places = np.linspace(-0.3, 0.3, max(len(blocks), 2))
         self.reset({block.name: PlanarPose(0.5, y) for block, y in zip(blocks, places, strict=False)})
 
@@ -69,20 +70,20 @@ class BlockWorld(ArmWorld):
 
     def _clearance(self) -> float:
         """Metres between the cup, or what hangs from it, and the highest block."""
-        heights = self.data.xpos[self._bodies, 2]
+        heights = self.data.geom_xpos[self._geoms, 2]
         radii = self.model.geom_rbound[self._geoms]
         tops = heights + radii
         lowest = self.data.site_xpos[self._tool_site, 2]
         if self.suction.held is not None:
-            held = list(self.blocks).index(self.suction.held)
-            lowest = heights[held] - radii[held]
+            held = self._block_of_geom == self.suction.held
+            lowest = (heights - radii)[held].min()
             tops[held] = 0.0
         return float(lowest - tops.max(initial=0.0))
 
     def reshape(self, things: Iterable[Block | Fixture]) -> None:
         """Give what has the names of these things their sizes, weights and colours; `reset` has to follow.
 
-        Raises `BaggieError` where nothing has this name, or a fixture is not of the boxes it was built of.
+        Raises `BaggieError` where nothing has this name, or what is of several boxes is not of those it was built of.
         """
         for thing in things:
             named: dict[str, Any] = self.blocks if isinstance(thing, Block) else self.fixtures
@@ -106,7 +107,9 @@ class BlockWorld(ArmWorld):
             )
         self._reset_arm()
         self.suction.off()
-        self.model.geom_group[self._geoms] = [HIDDEN_GROUP if name in aside else 0 for name in self.blocks]
+        self.model.geom_group[self._geoms] = [
+            HIDDEN_GROUP if name in aside else 0 for name in self._block_of_geom
+        ]
         for name, pose in poses.items():
             self._lay(name, pose)
         mujoco.mj_forward(self.model, self.data)
@@ -133,8 +136,7 @@ class BlockWorld(ArmWorld):
 
     def planar_pose(self, name: str) -> PlanarPose:
         """Where its middle is above the table, and which way its x axis points there."""
-        T = self.pose(name)
-        return PlanarPose(float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0])))
+        return planar_pose(self.pose(name))
 
     def _aside(self, names: Collection[str]) -> dict[str, PlanarPose]:
         return {

@@ -6,12 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baggie.geometry import FloatArray
+
 Size = tuple[float, float, float]
 Color = tuple[int, int, int]
 
 WOOD_KG_M3 = 600.0
 # Stacks stand still on contacts that are as stiff as steps of 4 ms allow, without friction that creeps.
 _CONTACT = 'friction="0.8 0.005 0.0001" solref="0.01 1" solimp="0.95 0.99 0.001" condim="3"'
+
+
+@dataclass(frozen=True)
+class Part:
+    """One box of several that are one thing."""
+
+    size_m: Size
+    color: Color
+    """RGB."""
+    position_m: Size
+    """Of its middle, in the thing's frame."""
 
 
 @dataclass(frozen=True)
@@ -24,22 +37,18 @@ class Block:
     """RGB."""
     density: float = WOOD_KG_M3
     """kg/m³."""
+    more: tuple[Part, ...] = ()
+    """Further boxes that are one body with it, none inside another; all as high as it is."""
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All its boxes, itself first."""
+        return Part(self.size_m, self.color, (0.0, 0.0, 0.0)), *self.more
 
     @property
     def mass_kg(self) -> float:
         """What it weighs."""
-        return float(self.density * np.prod(self.size_m))
-
-
-@dataclass(frozen=True)
-class Part:
-    """One box of a fixture."""
-
-    size_m: Size
-    color: Color
-    """RGB."""
-    position_m: Size
-    """Of its middle, in the fixture's frame."""
+        return float(self.density * sum(np.prod(part.size_m) for part in self.parts))
 
 
 @dataclass(frozen=True)
@@ -60,12 +69,37 @@ def stand(
     return Fixture(name, tuple(Part(plate_m, color, at) for color, at in zip(colors, places, strict=True)))
 
 
+def distance_m(thing: Block | Fixture, points: FloatArray) -> FloatArray:
+    """`(N,)` metres from points `(N, 2)`, in the thing's frame, to what it covers seen from above; 0 upon it."""
+    beside = [
+        np.abs(points - np.array(part.position_m[:2])) - np.array(part.size_m[:2]) / 2 for part in thing.parts
+    ]
+    return np.asarray(np.linalg.norm(np.maximum(beside, 0.0), axis=-1).min(axis=0))
+
+
+def extent_m(thing: Block | Fixture) -> FloatArray:
+    """`(2, 2)` metres: the lowest and the highest x and y of what it covers seen from above, in its frame."""
+    middles = np.array([part.position_m[:2] for part in thing.parts])
+    halves = np.array([part.size_m[:2] for part in thing.parts]) / 2
+    return np.array([(middles - halves).min(axis=0), (middles + halves).max(axis=0)])
+
+
+def reach_m(thing: Block | Fixture) -> float:
+    """The radius of the disc about its frame's origin that holds it, seen from above; metres."""
+    return float(np.linalg.norm(np.abs(extent_m(thing)).max(axis=0)))
+
+
 def block_xml(block: Block) -> str:
-    """A free body of this name, its joint's and its geom's too."""
+    """A free body of this name, its joint's and its first geom's too."""
+    more = "".join(
+        f"""
+      <geom {_box(part.size_m, part.color)} pos="{_numbers(part.position_m)}" density="{block.density}" {_CONTACT}/>"""
+        for part in block.more
+    )
     return f"""
     <body name="{block.name}">
       <freejoint name="{block.name}"/>
-      <geom name="{block.name}" {_box(block.size_m, block.color)} density="{block.density}" {_CONTACT}/>
+      <geom name="{block.name}" {_box(block.size_m, block.color)} density="{block.density}" {_CONTACT}/>{more}
     </body>"""
 
 

@@ -27,6 +27,8 @@ from baggie.geometry import (
 CONTROL_PERIOD_S = 0.02
 POSITION_TOLERANCE_M = 0.0005
 ROTATION_TOLERANCE_RAD = 0.002
+_ASTRAY_M = 0.004
+"""A path that strays so far from its line runs along a joint's limit, where the arm has to swing round."""
 _STEP = 0.03  # metres and, for yaw, radians/5 between two solutions; between them joints are interpolated
 
 Line = Callable[[FloatArray, ToolPose], FloatArray]
@@ -106,10 +108,26 @@ class Kinematics:
             yaw = here.yaw + fraction * (target.yaw - here.yaw)
             step = hand_matrix(ToolPose(float(xyz[0]), float(xyz[1]), float(xyz[2]), yaw))
             path.append(self._solve(step, iterations=30 if fraction == 1.0 else 3))
+        turned = f"pointing down at yaw {np.rad2deg(wrap_angle(target.yaw)):.0f} degrees"
         if not self._is_there():
-            turned = f"pointing down at yaw {np.rad2deg(wrap_angle(target.yaw)):.0f} degrees"
             raise self._unreachable(target.xyz, turned)
+        astray_m = self._astray_m(np.array(path), target)
+        if astray_m > _ASTRAY_M:
+            x, y, z = target.xyz
+            raise ReachError(
+                f"the arm cannot follow a straight line to x {x:.3f}, y {y:.3f}, z {z:.3f} m with the tool {turned} "
+                f"(it is {astray_m * 1000:.0f} mm beside it on the way); turn the tool less, or choose a place nearer "
+                "the robot's base"
+            )
         return np.array(path)
+
+    def _astray_m(self, path: FloatArray, target: ToolPose) -> float:
+        """How far a joint path `(N, J)` leaves the straight line to `target`, metres; joints are interpolated."""
+        ways = np.concatenate([path, (path[1:] + path[:-1]) / 2])
+        xyz = np.array([self.tool_pose(q).xyz for q in ways])
+        line = target.xyz - xyz[0]
+        along = np.clip((xyz - xyz[0]) @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
+        return float(np.linalg.norm(xyz - xyz[0] - along[:, None] * line, axis=1).max())
 
     def reach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
         """Joint positions `(J,)` that bring the hand to `transform`, `T_base_hand` `(4, 4)`, found from `start` `(J,)`.

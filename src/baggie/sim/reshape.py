@@ -12,21 +12,19 @@ from baggie.sim.blocks import Block, Fixture
 def reshape(model: mujoco.MjModel, data: mujoco.MjData, thing: Block | Fixture) -> None:
     """Make what has this name look and weigh as if the model had been built with it.
 
-    `data` is used up: reset it afterwards. Raises `BaggieError` for a fixture whose boxes are not those it was built
-    of; its colours may differ.
+    `data` is used up: reset it afterwards. Raises `BaggieError` for what is of several boxes, or a fixture, and of
+    others than it was built of; its colours may differ.
     """
-    if isinstance(thing, Block):
-        _resize(model, data, thing)
-        colors = [thing.color]
+    geoms = _geoms(model, thing.name)
+    if isinstance(thing, Block) and len(geoms) == len(thing.parts) == 1:
+        _resize(model, data, thing, geoms[0])
     else:
-        _check_parts(model, thing)
-        colors = [part.color for part in thing.parts]
-    for geom, color in zip(_geoms(model, thing.name), colors, strict=True):
-        model.geom_rgba[geom, :3] = np.array(color) / 255
+        _check_parts(model, thing, geoms)
+    for geom, part in zip(geoms, thing.parts, strict=True):
+        model.geom_rgba[geom, :3] = np.array(part.color) / 255
 
 
-def _resize(model: mujoco.MjModel, data: mujoco.MjData, block: Block) -> None:
-    (geom,) = _geoms(model, block.name)
+def _resize(model: mujoco.MjModel, data: mujoco.MjData, block: Block, geom: int) -> None:
     body = model.body(block.name).id
     half = np.array(block.size_m) / 2
     mass = block.mass_kg
@@ -42,12 +40,12 @@ def _resize(model: mujoco.MjModel, data: mujoco.MjData, block: Block) -> None:
     mujoco.mj_setConst(model, data)  # what follows from masses
 
 
-def _check_parts(model: mujoco.MjModel, fixture: Fixture) -> None:
-    built = [2 * model.geom_size[geom] for geom in _geoms(model, fixture.name)]
-    wanted = [part.size_m for part in fixture.parts]
+def _check_parts(model: mujoco.MjModel, thing: Block | Fixture, geoms: list[int]) -> None:
+    built = [2 * model.geom_size[geom] for geom in geoms]
+    wanted = [part.size_m for part in thing.parts]
     if len(built) != len(wanted) or not np.allclose(built, wanted, atol=2e-6):
         raise BaggieError(
-            f"expected the fixture {fixture.name!r} of the boxes it was built of, {np.round(built, 6).tolist()} m, got "
+            f"expected {thing.name!r} of the boxes it was built of, {np.round(built, 6).tolist()} m, got "
             f"{wanted}; only its colours may change"
         )
 

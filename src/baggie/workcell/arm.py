@@ -21,6 +21,8 @@ class ArmInfo:
     """The fastest the tool may ever move."""
     max_force_n: float
     """The hardest the gripper may squeeze."""
+    tool_symmetry: int = 2
+    """How often a turn the tool looks the same: 2 for two fingers; 0 for a round cup, which does at any angle."""
 
 
 @runtime_checkable

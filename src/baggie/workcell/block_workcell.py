@@ -15,6 +15,7 @@ from baggie.sim.tasks import Task, find_task
 from baggie.sim.tasks.layout import REACH
 from baggie.sim.tasks.oracle import next_action
 from baggie.sim.tasks.scoring import RavensScore, strict_success
+from baggie.sim.tasks.varied import varied_action
 from baggie.types import Intrinsics, Observation, PickPlace
 from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.height_map_camera import HeightMapCamera
@@ -66,9 +67,14 @@ class BlockWorkcell(MujocoWorkcell):
         self._suction_arm.reset()
         self.arm.park()
 
-    def demonstrate(self) -> PickPlace | None:
-        """What a demonstrator who knows where everything is does next; None when all is done, strictly."""
-        return next_action(self.scene.stages, self.world.poses())
+    def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
+        """What a demonstrator who knows where everything is does next; None when all is done, strictly.
+
+        With a stream in the style of others, whose whims are drawn from it (`baggie.sim.tasks.varied`).
+        """
+        if rng is None:
+            return next_action(self.scene.stages, self.world.poses())
+        return varied_action(self.scene, self.world.poses(), rng)
 
     def count(self) -> float:
         """What Ravens rewards since the last call; call it after every pick and place. The sum is `score.total`."""
@@ -106,7 +112,7 @@ def _settings(task: Task, cell: int) -> WorkcellSettings:
         handling=BLOCK_HANDLING,
         object_color=largest.color,
         object_size_m=largest.size_m,
-        object_symmetry=task.object_symmetry,
+        object_symmetry=1,  # a cup picks it anywhere, so a plan's turn is carried out as it is said
     )
 
 

@@ -17,6 +17,8 @@ from baggie.workcell.limits import GuardedArm
 
 _SAME_TURN_RAD = 1e-3
 """Turns that differ by less are equal: the hand is not measured better."""
+_ANY = 8
+"""Turns that are tried of what looks the same at any angle."""
 _WOBBLE_RAD = 0.01
 """An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
@@ -111,9 +113,14 @@ def least_turn(arm: GuardedArm, action: PickPlace, handling: Handling, symmetry:
     turn what is picked looks the same about its middle, where it is picked; 1 where that is not known, 0 for at any
     angle. Raises `LimitError` where pick or place would, and `ReachError` where the arm can carry out no saying.
     Nothing moves.
+
+    A round tool holds alike at any yaw: it is turned at the pick where the arm could not turn so far at the place.
     """
     here = arm.pose().yaw
-    sayings = sorted(_sayings(action, here, symmetry), key=lambda saying: _turn_and_tie(saying, here))
+    sayings = sorted(
+        _sayings(action, here, symmetry, arm.info.tool_symmetry),
+        key=lambda saying: _turn_and_tie(saying, here),
+    )
     best, least, unreachable = None, math.inf, None
     for saying in sayings:
         if _shortest_turn(saying, here) >= least:
@@ -132,19 +139,24 @@ def least_turn(arm: GuardedArm, action: PickPlace, handling: Handling, symmetry:
     return best
 
 
-def _sayings(action: PickPlace, here: float, symmetry: int) -> list[PickPlace]:
-    """All that mean the same, each turned the shorter way: from the yaw `here` to the pick, from there to the place."""
+def _sayings(action: PickPlace, here: float, symmetry: int, tool: int) -> list[PickPlace]:
+    """All that mean the same, each turned the shorter way: from the yaw `here` to the pick, from there to the place.
+
+    `tool`: how often a turn it looks the same itself; of any angle, 0, so many that the wrist gets by its limits.
+    """
     pick, place = action.pick, action.place
     if symmetry == 0:  # the hand need not turn at all
         pick, place, symmetry = replace(pick, yaw=here), replace(place, yaw=here), 4
-    hand = [0.0] if symmetry % 2 == 0 else [0.0, math.pi]  # looks the same after half a turn, if at both ends
+    # The tool may be turned by what looks the same, if at both ends; what the thing is turned by says that already.
+    alike = tool or _ANY
+    hand = [2 * math.pi * k / alike for k in range(alike // math.gcd(alike, symmetry))]
     thing = [2 * math.pi * k / symmetry for k in range(symmetry)]
     return [
         PickPlace(
-            replace(pick, yaw=(pick_yaw := nearest_angle(pick.yaw + half + a, here))),
-            replace(place, yaw=nearest_angle(place.yaw + half + b, pick_yaw)),
+            replace(pick, yaw=(pick_yaw := nearest_angle(pick.yaw + tool_turn + a, here))),
+            replace(place, yaw=nearest_angle(place.yaw + tool_turn + b, pick_yaw)),
         )
-        for half in hand
+        for tool_turn in hand
         for a in thing
         for b in thing
     ]

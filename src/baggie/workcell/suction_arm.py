@@ -41,7 +41,11 @@ class SuctionArm(ArmMotions):
     def __init__(self, world: BlockWorld) -> None:
         super().__init__(world, "cup")
         self.info = ArmInfo(
-            "simulated FR3, suction cup", max_width_m=0.0, max_speed_m_s=1.7, max_force_n=70.0
+            "simulated FR3, suction cup",
+            max_width_m=0.0,
+            max_speed_m_s=1.7,
+            max_force_n=70.0,
+            tool_symmetry=0,
         )
         self._suction = world.suction
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from baggie.errors import BaggieError
 from baggie.sim.tasks.align_box_corner import ALIGN_BOX_CORNER
+from baggie.sim.tasks.block_insertion import BLOCK_INSERTION
 from baggie.sim.tasks.block_pyramid import BLOCK_PYRAMID
 from baggie.sim.tasks.place_red_in_green import PLACE_RED_IN_GREEN
 from baggie.sim.tasks.task import Scene, Slot, Stage, Task
 
 __all__ = ["TASKS", "Scene", "Slot", "Stage", "Task", "find_task"]
 
-TASKS: dict[str, Task] = {task.name: task for task in (BLOCK_PYRAMID, PLACE_RED_IN_GREEN, ALIGN_BOX_CORNER)}
+TASKS: dict[str, Task] = {
+    task.name: task for task in (BLOCK_PYRAMID, PLACE_RED_IN_GREEN, ALIGN_BOX_CORNER, BLOCK_INSERTION)
+}
 
 
 def find_task(name: str) -> Task:

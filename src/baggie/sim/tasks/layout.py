@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +24,24 @@ def radius_m(size_m: ArrayLike) -> float:
     return float(np.hypot(*np.asarray(size_m, float)[:2]) / 2)
 
 
+def find_room(
+    radius_m: float, taken: Mapping[str, PlanarPose], radii_m: Mapping[str, float], rng: np.random.Generator
+) -> PlanarPose | None:
+    """A pose, yaw and all, of a disc wholly within `REACH` and apart from discs that lie where `taken` says; metres.
+
+    `radii_m`: theirs, by name. None where no try found room.
+    """
+
+    def somewhere() -> PlanarPose:
+        x, y = REACH.sample(rng, radius_m)
+        return PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi)))
+
+    def is_free(pose: PlanarPose) -> bool:
+        return all(pose.distance(there) > radius_m + radii_m[at] + GAP_M for at, there in taken.items())
+
+    return first_fit(somewhere, is_free, _TRIES)
+
+
 def scatter(radii_m: Mapping[str, float], rng: np.random.Generator) -> dict[str, PlanarPose]:
     """Poses, yaw and all, of discs that overlap nowhere and lie wholly within `REACH`; by name, metres.
 
@@ -42,17 +59,8 @@ def scatter(radii_m: Mapping[str, float], rng: np.random.Generator) -> dict[str,
 def _lay_out(radii_m: Mapping[str, float], rng: np.random.Generator) -> dict[str, PlanarPose]:
     """Lay one after another where there is room for it; where there is none for one, neither it nor those after it."""
     poses: dict[str, PlanarPose] = {}
-
-    def somewhere(radius: float) -> PlanarPose:
-        x, y = REACH.sample(rng, radius)
-        return PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi)))
-
-    def is_free(pose: PlanarPose, radius: float) -> bool:
-        return all(pose.distance(there) > radius + radii_m[at] + GAP_M for at, there in poses.items())
-
     for name in sorted(radii_m, key=lambda each: -radii_m[each]):  # small ones still find a place later
-        radius = radii_m[name]
-        pose = first_fit(partial(somewhere, radius), partial(is_free, radius=radius), _TRIES)
+        pose = find_room(radii_m[name], poses, radii_m, rng)
         if pose is None:
             break
         poses[name] = pose

@@ -52,7 +52,7 @@ class RavensScore:
         stage, before = self._stages[self._full], self.total
         slots = [slot.T_base_slot(poses) for slot in stage.slots]
         inside = sum(
-            any(_counts(poses[block], slot, stage.symmetry) for slot in slots) for block in stage.blocks
+            any(counts(poses[block], slot, stage.symmetry) for slot in slots) for block in stage.blocks
         )
         share = 0.0
         if inside == len(stage.blocks):
@@ -85,7 +85,8 @@ def strict_success(stages: Sequence[Stage], world: BlockWorld, stands_s: float =
     return all_filled(stages, world.poses())
 
 
-def _counts(T_base_block: FloatArray, T_base_slot: FloatArray, symmetry: int) -> bool:
+def counts(T_base_block: FloatArray, T_base_slot: FloatArray, symmetry: int) -> bool:
+    """Whether a block counts for a slot as published: within 1 cm and 15 degrees of what looks the same."""
     near = np.hypot(*(T_base_block - T_base_slot)[:2, 3]) < POSITION_M
     turn = yaw_of(T_base_block) - yaw_of(T_base_slot)
     return bool(near and (symmetry == 0 or abs(wrap_angle(turn, 2 * np.pi / symmetry)) < ANGLE_RAD))
@@ -94,7 +95,7 @@ def _counts(T_base_block: FloatArray, T_base_slot: FloatArray, symmetry: int) ->
 def _fits(T_base_block: FloatArray, T_base_slot: FloatArray, symmetry: int) -> bool:
     level = abs(T_base_block[2, 3] - T_base_slot[2, 3]) < HEIGHT_M
     upright = T_base_block[2, 2] > np.cos(ANGLE_RAD)
-    return bool(level and upright and _counts(T_base_block, T_base_slot, symmetry))
+    return bool(level and upright and counts(T_base_block, T_base_slot, symmetry))
 
 
 def _weight(stages: Sequence[Stage]) -> float:

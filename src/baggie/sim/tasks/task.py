@@ -22,9 +22,7 @@ class Slot:
 
     def T_base_slot(self, poses: Mapping[str, FloatArray]) -> FloatArray:
         """`(4, 4)`, given `T_base_body` of the fixtures by name."""
-        T_frame_slot = np.eye(4)
-        T_frame_slot[:2, [0, 1, 3]] = self.pose.matrix()[:2]
-        T_frame_slot[2, 3] = self.height_m
+        T_frame_slot = self.pose.upright(self.height_m)
         return T_frame_slot if self.frame is None else np.asarray(poses[self.frame] @ T_frame_slot)
 
 
