@@ -60,6 +60,38 @@ def test_a_place_lies_along_the_goal_and_turns_the_hand_least(goal_yaw, pick_yaw
     assert abs(yaw - pick_yaw) <= math.pi / 2 + 1e-6
 
 
+def sheared(corners: np.ndarray, shear_deg: float, towards: float) -> np.ndarray:
+    """Corners moved along the direction `towards`, radians, the farther the more they lie to its left."""
+    ahead = np.array([math.cos(towards), math.sin(towards)])
+    left = (corners - corners.mean(axis=0)) @ [-ahead[1], ahead[0]]
+    return np.asarray(corners + math.tan(math.radians(shear_deg)) * left[:, None] * ahead)
+
+
+@given(
+    st.floats(-math.pi, math.pi),
+    st.floats(-10, 10),
+    st.floats(-math.pi, math.pi),
+    st.floats(0.9, 1.1),
+    st.sampled_from([2, 4]),
+)
+def test_a_sheared_outline_is_no_long_one_and_turns_little(
+    goal_yaw: float, shear_deg: float, towards: float, ratio: float, symmetry: int
+) -> None:
+    """A tall thing's outline on the table is; a network may take it for long."""
+    seen = sheared(rectangle(goal_yaw, 0.065 * ratio, 0.065), shear_deg, towards)
+    off = math.remainder(place_yaw(seen, symmetry, 0.0) - goal_yaw, math.pi / 2)
+    assert abs(math.degrees(off)) < 6.5
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-10, 10), st.floats(-math.pi, math.pi))
+def test_a_sheared_long_outline_stays_along_its_long_side(
+    goal_yaw: float, shear_deg: float, towards: float
+) -> None:
+    seen = sheared(rectangle(goal_yaw, 0.18, 0.11), shear_deg, towards)
+    off = math.remainder(place_yaw(seen, 2, 0.0) - goal_yaw, math.pi)
+    assert abs(math.degrees(off)) < 10
+
+
 def drawn_pairs(count: int, noise_m: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Points of a tilted, distorted camera, normalised, and where they are on a plane, noisy."""
     rng = np.random.default_rng(seed)

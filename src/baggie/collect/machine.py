@@ -122,8 +122,10 @@ def plan(turn: Turn) -> State:
         )
         return State.ASK
     long = settings.object_symmetry == LONG
-    turn.doubted = not long and false_45(pose.yaw) and not turn.doubted_before
-    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, turn.doubted_before))
+    # What was not grasped one way is tried the other: a hard square at 45 degrees goes into no hand that stays square.
+    believed = turn.doubted_before != (turn.tries % 2 == 1)
+    turn.doubted = not long and false_45(pose.yaw) and not believed
+    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, believed))
     place = random_place(settings.workspace, pick, turn.rng)
     turn.action = PickPlace(pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place)
     return State.MOVE
