@@ -247,6 +247,10 @@ def test_what_a_workcell_file_says_reaches_lerobot(folder: Path, monkeypatch: py
     path.write_text(
         yaml.safe_dump({"arm": arm | {"widths": [[0, 0], [100, 0.05]]}, "camera": str(folder / "table.avi")})
     )
+    narrow = baggie.open_workcell(path)
+    assert narrow.settings.handling.open_width_m == 0.05, "what is not written follows from the gripper"
+    narrow.close()
+    path.write_text(f"{path.read_text()}handling: {{open_width_m: 0.08}}\n")
     with pytest.raises(
         BaggieError, match=r"handling\.open_width_m is 0\.08, the gripper of .* opens to 0\.05; lower it"
     ):

@@ -18,10 +18,10 @@ from baggie.workcell import config
 from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.handling_rules import SIMULATED_HANDLING
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.real import RealWorkcell
-from baggie.workcell.simulated import SIMULATED_HANDLING
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
@@ -323,11 +323,11 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ("workspace:\n  y: [0.3, -0.3]\n", r"line 2: workspace\.y: expected the lower bound first"),
         ("handling:\n  grip_n: 3\n", r"line 2: handling\.grip_n: .* give one of travel_z_m, .*grasp_force_n"),
         (
-            "limits:\n  max_speed_m_s: 0.5\n",
+            "limits:\n  max_speed_m_s: 0.5\nhandling: {fast_m_s: 1.2}\n",
             r"handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
         ),
         (
-            "limits:\n  z_min_m: 0.02\n",
+            "limits:\n  z_min_m: 0.02\nhandling: {pick_z_m: 0.014}\n",
             r"pick_z_m and place_z_m are 0\.014 and 0\.024, .* no less than 0\.02",
         ),
         ("cell: [", r"cell\.yaml is no YAML, line 1: .*; mend it there"),

@@ -127,7 +127,7 @@ def gripper(cell: Workcell) -> str:
             )
     closed = cell.arm.grasp(cell.settings.handling.grasp_force_n)
     cell.arm.move_gripper(widest)
-    if closed > cell.settings.handling.empty_width_m:
+    if closed > min(cell.settings.handling.empty_width_m, WIDTH_OFF_M):
         raise ArmError(
             f"closed on nothing the fingers are {1000 * closed:.1f} mm apart; home them, clean them"
         )

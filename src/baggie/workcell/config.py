@@ -12,8 +12,8 @@ from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
-from baggie.sim.bag import LONG_ASPECT, BagParameters
-from baggie.workcell.arm import Arm
+from baggie.sim.bag import BagParameters
+from baggie.workcell.arm import Arm, ArmInfo
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.cameras.settings import CameraSettings
@@ -21,9 +21,9 @@ from baggie.workcell.franka import FrankaArm
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.lerobot_link import open_robot
 from baggie.workcell.python_arm import open_python_arm
-from baggie.workcell.real import RealWorkcell
+from baggie.workcell.real import RealWorkcell, let_go
 from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.simulated import SIMULATED_HANDLING, SimulatedWorkcell
+from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import (
     CalibrationFiles,
@@ -68,7 +68,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     bag = BagParameters(
         length_m=written.bag.length_m,
         width_m=written.bag.width_m,
-        shape="long" if written.bag.length_m >= LONG_ASPECT * written.bag.width_m else "square",
+        shape="long" if written.bag.long else "square",
         mass_kg=written.bag.mass_kg,
         color=written.bag.color,
     )
@@ -86,9 +86,9 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
             reach=_around(defaults.limits.reach, gate),
             **written.limits.model_dump(),
         ),
-        handling=written.handling,
+        handling=written.handled().handling,
         object_color=bag.color,
-        object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
+        object_size_m=written.bag.thing.size_m,
         object_symmetry=bag.symmetry,
         sure_within_m=written.sure_within_m,
     )
@@ -96,16 +96,33 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
     if isinstance(entry, SimulatedEntry):
-        if "handling" not in written.model_fields_set:
-            settings = replace(settings, handling=SIMULATED_HANDLING)
         return SimulatedWorkcell(written.cell, settings, bag)
     arm = _open_arm(entry, path.parent)
-    if settings.handling.open_width_m > arm.info.max_width_m:
-        raise BaggieError(
-            f"{path}: handling.open_width_m is {settings.handling.open_width_m:g}, the gripper of {arm.info.name} "
-            f"opens to {arm.info.max_width_m:g}; lower it"
-        )
-    return RealWorkcell(arm, open_camera(written.camera or CameraSettings()), settings)
+    try:
+        check_handled(written, path, arm.info)
+        camera = open_camera(written.camera or CameraSettings())
+    except BaggieError:
+        let_go(arm)
+        raise
+    return RealWorkcell(arm, camera, replace(settings, handling=written.handled(arm.info).handling))
+
+
+def check_handled(written: WorkcellFile, path: Path, arm: ArmInfo) -> None:
+    """Raise `BaggieError` for a handling that this arm, which the file `path` names, cannot do."""
+    if line := written.contradiction(arm):
+        raise BaggieError(f"{path}: {line}")
+
+
+def arm_of(written: WorkcellFile, path: Path) -> ArmInfo | None:
+    """What the arm that is `written` in the file `path` can do, nothing connected; None for one that is not real.
+
+    Raises `BaggieError` where it cannot be made here.
+    """
+    if not isinstance(written.arm, FrankaEntry | LeRobotEntry | PythonEntry):
+        return None
+    arm = _open_arm(written.arm, path.parent)
+    let_go(arm)
+    return arm.info
 
 
 def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> Arm:

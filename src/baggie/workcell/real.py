@@ -57,6 +57,11 @@ class RealWorkcell(Workcell):
 
     def close(self) -> None:
         """Let go of the camera, and of an arm that has a `close`."""
-        for device in self._devices:
-            if isinstance(device, _Closable):
-                device.close()
+        let_go(*self._devices)
+
+
+def let_go(*devices: object) -> None:
+    """Close those that have a `close`."""
+    for device in devices:
+        if isinstance(device, _Closable):
+            device.close()

@@ -164,11 +164,15 @@ class Workcell:
         return True
 
     def _holds(self) -> bool:
-        """Whether the hand seems to hold something: it is neither shut nor as wide as where it lets go."""
+        """Whether the hand seems to hold something: it is neither shut nor as wide as it opens, or opens to let go."""
         h, width = self.settings.handling, self.arm.gripper_width()
-        if h.release_width_m > h.empty_width_m:
-            return h.empty_width_m < width < h.release_width_m - _SAME_WIDTH_M
-        return h.empty_width_m < width  # of a suction cup, which is as wide as that only while it holds
+        if width <= h.empty_width_m:
+            return False
+        # A suction cup opens to nothing: it is as wide as that only while it holds.
+        opened = [
+            w for w in (h.release_width_m, h.open_width_m, self.arm.info.max_width_m) if w > h.empty_width_m
+        ]
+        return all(abs(width - w) > _SAME_WIDTH_M for w in opened)
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""
