@@ -45,6 +45,7 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	$(BIN)/python benchmarks/pyramid_media.py
 	for benchmark in decision train_step transporter block_demonstrations rehearsal rehearsal_media landing; do \
 	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
+	$(BIN)/python benchmarks/handling_media.py
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
 	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint

@@ -95,9 +95,8 @@ ANSWERS: Mapping[str, tuple[str, ...]] = {
         "no",  # real-time kernel
         "opencv",
         "http://{lab}/camera.mjpg",
-        "",
-        "",
-        "",
+        *("", ""),  # the workspace
+        *("", "", ""),  # the bag's sides and height, and that it is soft
         "{color}",
     ),
     "baggie doctor": ("y",),

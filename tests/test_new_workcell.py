@@ -20,6 +20,7 @@ from baggie.workcell.workcell_file import (
     ArmEntry,
     FrankaEntry,
     LeRobotEntry,
+    PythonEntry,
     ReplayEntry,
     SimulatedEntry,
     WorkcellFile,
@@ -88,6 +89,13 @@ def test_every_kind_of_camera_has_a_source(tmp_path: Path, kind: str) -> None:
     assert write(tmp_path / "cell.yaml", *franka, kind, source).camera == CameraSettings(
         kind=kind, source=source
     )
+
+
+def test_a_camera_of_one_s_own_gets_its_options(tmp_path: Path) -> None:
+    answers = ("franka", "", "", "", "", "python", "my_lab.eye:open_eye", "gain=3")
+    camera = write(tmp_path / "cell.yaml", *answers).camera
+    assert isinstance(camera, PythonEntry)
+    assert (camera.factory, camera.model_extra) == ("my_lab.eye:open_eye", {"gain": 3})
 
 
 def test_a_file_of_pictures_has_to_be_there(tmp_path: Path) -> None:

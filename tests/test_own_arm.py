@@ -21,6 +21,7 @@ from baggie.errors import ArmError, BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace
 from baggie.workcell.arm_contract import check_arm
+from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
@@ -119,6 +120,72 @@ def test_a_workcell_file_opens_an_arm_that_lies_beside_it(
     with pytest.raises(LimitError):
         cell.execute(PickPlace(PlanarPose(0.45, 0.0), PlanarPose(0.9, 0.0)))
     cell.close()
+
+
+def test_a_workcell_file_opens_a_camera_that_lies_beside_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    shutil.copy(EXAMPLE, folder / "beside_arm.py")
+    shutil.copy(ROOT / "examples" / "own_camera.py", folder / "beside_camera.py")
+    path = folder / "cell.yaml"
+    path.write_text(
+        "arm: {kind: python, factory: 'beside_arm:open_arm'}\n"
+        "camera: {kind: python, factory: 'beside_camera:open_camera', width: 320, height: 240}\n"
+    )
+    cell = baggie.open_workcell(path)
+    check_camera(cell.camera)
+    before, seen, after = cell.clock(), cell.look(), cell.clock()
+    assert seen.size == (320, 240)
+    assert before - 0.1 <= seen.time <= after + 0.1
+    cell.close()
+
+
+WRONG_CAMERAS = """
+class Blind:
+    name = "blind"
+    size = (640, 480)
+    intrinsics = None
+
+class Flat(Blind):
+    size = 640
+    def look(self): ...
+
+def open_eye(gain=1): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (
+            "'wrong_cameras:Blind'",
+            r"made a Blind, which is no Camera: it lacks look; see baggie/workcell/camera",
+        ),
+        ("'wrong_cameras:Flat'", r"it has a `size` that is not \(width, height\) in pixels"),
+        (
+            "'wrong_cameras:open_eye', fps: 3",
+            r"takes \(gain=1\), not fps .*; change the options below `camera`",
+        ),
+        ("'no_such_camera:open_eye'", r"the camera's factory 'no_such_camera:open_eye' cannot be imported"),
+        ("open_eye", r"line 2: camera\.factory: .*got 'open_eye'"),
+    ],
+)
+def test_a_factory_that_makes_no_camera_is_said_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, camera: str, message: str
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.delitem(sys.modules, "wrong_cameras", raising=False)
+    (folder / "wrong_cameras.py").write_text(WRONG_CAMERAS)
+    shutil.copy(EXAMPLE, folder / "beside_arm.py")
+    path = folder / "cell.yaml"
+    path.write_text(
+        "arm: {kind: python, factory: 'beside_arm:open_arm'}\n"
+        f"camera: {{kind: python, factory: {camera}}}\n"
+    )
+    with pytest.raises(BaggieError, match=message) as raised:
+        baggie.open_workcell(path)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_real_workcell_and_its_pictures_have_one_clock(

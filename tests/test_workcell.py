@@ -307,7 +307,7 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ),
         (
             f"{FRANKA}camera:\n  kind: usb\n",
-            r"line 5: camera\.kind: .*'realsense', 'orbbec' or 'k4a', got 'usb'",
+            r"line 4: camera: .*'usb' .* 'realsense', 'orbbec', 'k4a', 'python'",
         ),
         ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
         ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),

@@ -96,11 +96,17 @@ def _lerobot(questions: Questions, _folder: Path) -> NewArm:
 
 
 def _python(questions: Questions, _folder: Path) -> NewArm:
-    words = "what makes the arm, as module:function; the module is installed, or lies in this file's folder"
-    factory = questions.ask(words, "own_arm:open_arm", entry(PythonEntry, "factory"))
+    return NewArm(ask_factory(questions, "arm"))
+
+
+def ask_factory(questions: Questions, what: str) -> dict[str, Any]:
+    """Which function makes an arm, or a camera, of one's own, and what it is given."""
+    words = (
+        f"what makes the {what}, as module:function; the module is installed, or lies in this file's folder"
+    )
+    factory = questions.ask(words, f"own_{what}:open_{what}", entry(PythonEntry, "factory"))
     words = f"what it is given, as name=value apart by spaces, or {_NONE} for nothing"
-    options = questions.ask(words, _NONE, _options)
-    return NewArm({"factory": factory, **options})
+    return {"factory": factory, **questions.ask(words, _NONE, _options)}
 
 
 def _replay(questions: Questions, folder: Path) -> NewArm:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import tyro
 import yaml
 
-from baggie.commissioning.new_arm import ARMS, NewArm
+from baggie.commissioning.new_arm import ARMS, NewArm, ask_factory
 from baggie.commissioning.questions import Questions, bounds, color, entry, one_of, several, spaced
 from baggie.errors import BaggieError
 from baggie.files import write_text
@@ -68,9 +68,12 @@ def _content(questions: Questions, folder: Path) -> dict[str, Any]:
 
 def _camera(questions: Questions) -> dict[str, Any]:
     words = (
-        "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth"
+        "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth; python, "
+        "one of your own"
     )
-    kind = questions.ask(words, "opencv", one_of(*get_args(Kind)))
+    kind = questions.ask(words, "opencv", one_of(*get_args(Kind), "python"))
+    if kind == "python":
+        return {"kind": kind, **ask_factory(questions, "camera")}
     if kind == "opencv":
         words = "its number, device or address, or the video file"
         return {"kind": kind, "source": questions.ask(words, "0", _source)}

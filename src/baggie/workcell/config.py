@@ -15,12 +15,13 @@ from baggie.geometry import Rectangle
 from baggie.sim.bag import BagParameters
 from baggie.workcell.arm import Arm, ArmInfo
 from baggie.workcell.calibrations import Calibrations
+from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.franka import FrankaArm
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.lerobot_link import open_robot
-from baggie.workcell.python_arm import open_python_arm
+from baggie.workcell.python_devices import open_python_arm, open_python_camera
 from baggie.workcell.real import RealWorkcell, let_go
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.simulated import SimulatedWorkcell
@@ -100,7 +101,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     arm = _open_arm(entry, path.parent)
     try:
         check_handled(written, path, arm.info)
-        camera = open_camera(written.camera or CameraSettings())
+        camera = _open_camera(written.camera or CameraSettings(), path.parent)
     except BaggieError:
         let_go(arm)
         raise
@@ -134,6 +135,12 @@ def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> 
     options = {name: value for name, value in given.items() if value is not None} | entry.options
     model = folder / entry.model
     return LeRobotArm(open_robot(entry.type, options), entry.model_copy(update={"model": model}))
+
+
+def _open_camera(entry: CameraSettings | PythonEntry, folder: Path) -> Camera:
+    if isinstance(entry, PythonEntry):
+        return open_python_camera(entry.factory, entry.model_extra or {}, folder)
+    return open_camera(entry)
 
 
 def _around(a: Rectangle, b: Rectangle) -> Rectangle:

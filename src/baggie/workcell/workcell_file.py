@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -75,13 +76,14 @@ class LeRobotEntry(LeRobotSettings):
 
 
 class PythonEntry(BaseModel):
-    """An arm of one's own. Every other entry is an option of its factory."""
+    """An arm, or a camera, of one's own. Every other entry is an option of its factory."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     kind: Literal["python"]
     factory: str = Field(pattern=r"^[\w.]+:\w+$")
-    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`, or a `Camera`; the module may be in the file's
+    own folder."""
 
 
 REAL_ARMS = (FrankaEntry, LeRobotEntry, PythonEntry)
@@ -92,8 +94,11 @@ def _kind_alone(entry: Any) -> Any:
 
 
 def _words_alone(entry: Any) -> Any:
-    short = isinstance(entry, (str, int)) and not isinstance(entry, bool)
-    return CameraSettings.from_words(str(entry)) if short else entry
+    if isinstance(entry, (str, int)) and not isinstance(entry, bool):
+        return CameraSettings.from_words(str(entry))
+    if isinstance(entry, Mapping):  # which kind of section it is does not go without saying for pydantic
+        return {"kind": CameraSettings.model_fields["kind"].default, **entry}
+    return entry
 
 
 ArmEntry = Annotated[
@@ -102,7 +107,9 @@ ArmEntry = Annotated[
     ],
     BeforeValidator(_kind_alone),
 ]
-CameraEntry = Annotated[CameraSettings, BeforeValidator(_words_alone)]
+CameraEntry = Annotated[
+    Annotated[CameraSettings | PythonEntry, Field(discriminator="kind")], BeforeValidator(_words_alone)
+]
 
 
 class Bounds(Section):
