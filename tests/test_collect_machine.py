@@ -209,6 +209,15 @@ def test_plan_grips_a_bag_just_outside_by_its_near_side(turn):
     assert turn.action.pick.x == limits.x_max
 
 
+def test_plan_grips_what_is_hard_by_its_middle_or_not_at_all(turn: Turn) -> None:
+    limits = turn.cell.settings.limits.workspace
+    turn.cell.settings = replace(turn.cell.settings, object_hard=True)
+    turn.cell.bag = PlanarPose(limits.x_max - 0.02, 0.0)
+    assert machine.plan(seen(turn)) is State.MOVE
+    turn.cell.bag = PlanarPose(limits.x_max + 0.02, 0.0)
+    assert machine.plan(seen(turn)) is State.ASK
+
+
 def test_plan_asks_for_a_bag_out_of_reach(turn):
     turn.cell.bag = PlanarPose(turn.cell.settings.limits.workspace.x_max + 0.1, 0.0)
     assert machine.plan(seen(turn)) is State.ASK

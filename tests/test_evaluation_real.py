@@ -219,6 +219,13 @@ def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_ca
     assert says(text) != first
 
 
+def test_metrics_say_which_arm_moved(cell, tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: {kind: franka, host: 10.0.0.2, model: panda}\ncamera: 0\n")
+    asked = replace(options(tmp_path / "out"), episodes=1, workcell=file)
+    assert evaluate(asked, functools.partial(bench, cell))["robot"] == "Panda"
+
+
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
     cell.script = [None, "lost-bag"]
     with pytest.raises(BaggieError, match="bring it back into view") as raised:

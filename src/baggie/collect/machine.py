@@ -34,6 +34,7 @@ from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection
+from baggie.workcell.handling_rules import ROOM_M
 
 MAX_TRIES = 3
 MAX_LOOKS = 3
@@ -114,7 +115,8 @@ def plan(turn: Turn) -> State:
     """Grip it where it lies, or where it can still be reached; put it down elsewhere, squared up."""
     assert turn.pose is not None
     settings, pose = turn.cell.settings, turn.pose
-    grip = nearest_grip(settings.limits.workspace, pose.x, pose.y, reach=min(settings.object_size_m[:2]) / 3)
+    reach = ROOM_M if settings.object_hard else min(settings.object_size_m[:2]) / 3
+    grip = nearest_grip(settings.limits.workspace, pose.x, pose.y, reach)
     if grip is None:
         turn.trouble = (
             f"the object at x {pose.x:.2f} m, y {pose.y:.2f} m is out of reach: "

@@ -78,10 +78,11 @@ def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict
         raise BaggieError(f"expected --workers 1 with {path}, which has one arm, got {options.workers}")
     table = {**written.model_dump(mode="json", include={"workspace"}), "bag": written.bag.recorded()}
     opener = functools.partial(open_written_cell, written, path)
-    return opener, functools.partial(_robot, written, path), {"workcell": table}
+    return opener, functools.partial(robot_of, written, path), {"workcell": table}
 
 
-def _robot(written: WorkcellFile, path: Path) -> str:
+def robot_of(written: WorkcellFile, path: Path) -> str:
+    """What moves in the workcell `written` in a file. Raises `BaggieError` where its arm cannot be made here."""
     from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time
     from baggie.workcell.franka_models import MODELS  # noqa: PLC0415
     from baggie.workcell.workcell_file import FrankaEntry  # noqa: PLC0415

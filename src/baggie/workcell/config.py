@@ -90,6 +90,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         handling=written.handled().handling,
         object_color=bag.color,
         object_size_m=written.bag.thing.size_m,
+        object_hard=written.bag.hard,
         object_symmetry=bag.symmetry,
         sure_within_m=written.sure_within_m,
     )

@@ -29,8 +29,8 @@ WIDER_M = 0.02
 BELOW_M = 0.005
 """So far below where it stood when it was grasped a hard object is felt for."""
 PRESS_N_S_M = 600.0
-"""By how much more than asked for a hard object presses, for each m/s it comes down at: of an arm that goes on for 60 ms
-after it has felt something, and gives way by a millimetre for 10 N."""
+"""By how much more than asked for a hard object presses, for each m/s it comes down at: of an arm that goes on for 60
+ms after it has felt something, and gives way by a millimetre for 10 N."""
 SLOWEST_M_S = 0.02
 """No thing has to be felt for more slowly."""
 WIDEST_M = 0.5

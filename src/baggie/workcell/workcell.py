@@ -50,6 +50,8 @@ class WorkcellSettings:
     object_color: tuple[int, int, int] = (196, 40, 44)
     object_size_m: tuple[float, float, float] = (0.12, 0.12, 0.03)
     """Length, width and resting height."""
+    object_hard: bool = False
+    """Whether the hand goes over it, and so grips it by its middle or not at all."""
     object_symmetry: int = 4
     """How many times a turn it looks the same about its middle, by which it is picked; 0 for at any angle. With 1, of
     what has no symmetry or is picked elsewhere, yaws are carried out as they are said."""
