@@ -419,6 +419,16 @@ def test_a_frozen_camera_stalls(cell, image_to_robot):
         next(sitting)
 
 
+def test_where_the_arm_does_not_get_there_again_and_again_its_own_words_are_passed_on(cell, image_to_robot):
+    cell.helps = False
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
+    cell.script = ["unreachable"] * MAX_TRIES * STALL_AFTER
+    with pytest.raises(
+        Stopped, match=r"in a row failed.*unreachable: the arm did not get there \(.+\): put the"
+    ):
+        list(sitting)
+
+
 def test_many_failures_in_a_row_stop_it_where_only_the_cell_helps_once(cell, image_to_robot):
     questions = []
     sitting = run_sitting(

@@ -129,7 +129,7 @@ def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) 
         return np.zeros((0, 2))
     on_table = image_to_robot.at_height(0.0) if image_to_robot.height_aware else image_to_robot
     find = marker_finder(marker)
-    errors = []
+    errors, speed = [], min(_SPEED_M_S, cell.arm.info.max_speed_m_s)
     for number in range(options.touches):
         bench.assistant.lay(
             marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"
@@ -139,8 +139,8 @@ def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) 
             bench.say("the marker on the table is not seen")
             continue
         x, y = on_table.to_robot(pixel)[0]
-        cell.arm.move_to(ToolPose(x, y, _HOVER_M), _SPEED_M_S)
-        cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), _SPEED_M_S)
+        cell.arm.move_to(ToolPose(x, y, _HOVER_M), speed)
+        cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), speed)
         error = bench.assistant.measure_touch("the fingertips are where the marker's middle should be")
         if error is not None:
             errors.append(error)
