@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 import baggie
 from baggie.cli import main
+from baggie.commissioning.check import CheckOptions, _object_height_m
 from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, ToolPose
@@ -112,7 +113,7 @@ def test_what_is_written_wins(thing: Thing, arm: ArmInfo, written: dict[str, flo
         (
             CUBE,
             {"release_width_m": 0.035},
-            r"release_width_m is 0\.035, .* never lets go of it; raise it to 0\.07",
+            r"release_width_m is 0\.035, which never lets go .* 0\.065 m wide; raise it to 0\.07",
         ),
         (
             CUBE,
@@ -263,7 +264,11 @@ def test_show_says_what_is_written_and_what_follows(folder: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("more", "module", "line"),
     [
-        (f"{CUBE_ENTRY}handling: {{release_width_m: 0.035}}\n", "own_arm_here", "never lets go of it"),
+        (
+            f"{CUBE_ENTRY}handling: {{release_width_m: 0.035}}\n",
+            "own_arm_here",
+            "never lets go of a hard bag",
+        ),
         (
             "handling: {fast_m_s: 0.5}\n",
             "slow_arm",
@@ -330,6 +335,12 @@ def test_a_simulated_bag_may_say_its_own_height(tmp_path: Path, monkeypatch: pyt
     config._open(read_workcell_file(path), path)
     assert opened[0].object_size_m == WorkcellSettings().object_size_m
     assert math.isclose(opened[0].handling.land_force_n, 3.0)
+
+
+def test_a_learned_map_is_compared_at_half_the_height_that_is_written(folder: Path) -> None:
+    file = str(written(folder, CUBE_ENTRY))
+    assert _object_height_m(CheckOptions(workcell=file)) == 0.065
+    assert _object_height_m(CheckOptions()) == 0.03
 
 
 @pytest.mark.parametrize("side", [0.02, 0.3])

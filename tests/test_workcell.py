@@ -324,7 +324,7 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ("handling:\n  grip_n: 3\n", r"line 2: handling\.grip_n: .* give one of travel_z_m, .*grasp_force_n"),
         (
             "limits:\n  max_speed_m_s: 0.5\nhandling: {fast_m_s: 1.2}\n",
-            r"handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
+            r"cell\.yaml, line 3: handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
         ),
         (
             "limits:\n  z_min_m: 0.02\nhandling: {pick_z_m: 0.014}\n",

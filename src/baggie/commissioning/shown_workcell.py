@@ -21,7 +21,7 @@ def shown_workcell(path: Path) -> dict[str, Any]:
 
     written = read_workcell_file(path)
     arm: ArmInfo | None = None
-    gripper = "the simulated one's, or none"
+    gripper = "of no real arm"
     try:
         arm = arm_of(written, path)
     except BaggieError as error:

@@ -229,8 +229,8 @@ def _against_the_thing(handling: Handling, thing: Thing) -> Iterator[str]:
         )
     if handling.release_width_m < width + ROOM_M:
         yield (
-            f"handling.release_width_m is {handling.release_width_m:g}, the bag is hard and {width:g} m wide, so that "
-            f"never lets go of it; raise it to {width + ROOM_M:g} or more, or leave it out"
+            f"handling.release_width_m is {handling.release_width_m:g}, which never lets go of a hard bag {width:g} m "
+            f"wide; raise it to {width + ROOM_M:g} or more, or leave it out"
         )
     if handling.empty_width_m >= (thin := min(thing.size_m[:2])):
         yield (
