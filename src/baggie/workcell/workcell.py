@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _SAME_WIDTH_M = 0.003
 """Fingers that let go stand so near to where they were sent."""
+_OPEN_M = 0.005
+"""A hand that is so near to as wide as it opens is empty: what it goes over is narrower by more."""
 
 
 @dataclass(frozen=True)
@@ -166,15 +168,13 @@ class Workcell:
         return True
 
     def _holds(self) -> bool:
-        """Whether the hand seems to hold something: it is neither shut nor as wide as it opens, or opens to let go."""
+        """Whether the hand seems to hold something: it is neither shut, nor open, nor as wide as where it lets go."""
         h, width = self.settings.handling, self.arm.gripper_width()
         if width <= h.empty_width_m:
             return False
-        # A suction cup opens to nothing: it is as wide as that only while it holds.
-        opened = [
-            w for w in (h.release_width_m, h.open_width_m, self.arm.info.max_width_m) if w > h.empty_width_m
-        ]
-        return all(abs(width - w) > _SAME_WIDTH_M for w in opened)
+        if h.open_width_m <= h.empty_width_m:  # a suction cup, which is as wide as that only while it holds
+            return True
+        return abs(width - h.release_width_m) > _SAME_WIDTH_M and width < h.open_width_m - _OPEN_M
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""
