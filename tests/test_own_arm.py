@@ -55,6 +55,36 @@ def test_the_template_keeps_the_contract(own_arm: ModuleType) -> None:
     check_arm(GuardedArm(opened(own_arm), LIMITS))
 
 
+class Slept:
+    """The time that passes while the template sleeps."""
+
+    now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.mark.parametrize("sign", [1, 0, -1])
+def test_the_template_feels_a_firm_thing_and_would_be_found_out(own_arm: ModuleType, sign: int) -> None:
+    time = Slept()
+    robot = own_arm.ImaginaryRobot(table_z=0.04)
+    felt = own_arm.ImaginaryRobot.upward_force_n.fget
+    sick = type("Sick", (own_arm.ImaginaryRobot,), {"upward_force_n": property(lambda r: sign * felt(r))})
+    robot.__class__ = sick
+    arm = own_arm.OwnArm(robot, 0.85, sleep=time.sleep)
+
+    def check() -> list[str]:
+        return check_arm(
+            GuardedArm(arm, LIMITS), firm_height_m=0.04, tool_x=lambda: arm.pose().yaw, clock=lambda: time.now
+        )
+
+    if sign > 0:
+        assert check()[0] == "force: felt 3 times at z 40 mm, on a thing of 40 mm"
+        return
+    with pytest.raises(AssertionError, match="pushed on for as long as through the air"):
+        check()
+
+
 def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> None:
     arm = opened(own_arm, table_z=0.05, thing_m=0.02)
     handling, start, goal = Handling(), PlanarPose(0.5, 0.1), PlanarPose(0.45, -0.1)
