@@ -5,6 +5,7 @@ In the simulator, `simulated_assistant.py` does the same things in the world.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -32,6 +33,10 @@ class Helper(Protocol):
 
     def confirm(self, question: str) -> bool | None:
         """Whether it is so; None where nobody can tell."""
+        ...
+
+    def clock(self) -> float:
+        """Seconds of the arm's own time."""
         ...
 
     def put_away(self) -> None:
@@ -123,6 +128,10 @@ class PersonAtTerminal:
         """Ask for yes or no; anything else is neither."""
         answer = self._ask(f"{question} [y/n, nothing where you cannot tell]").lower()
         return {"y": True, "yes": True, "n": False, "no": False}.get(answer)
+
+    def clock(self) -> float:
+        """A real arm's: the wall clock's."""
+        return time.monotonic()
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """Ask, and wait."""

@@ -35,7 +35,7 @@ def force(cell: Workcell, helper: Helper) -> str:
     if height is None:
         raise NotTriedError("nobody laid a firm thing under the hand: whether the arm feels is not known")
     try:
-        return touch_firm(cell.arm, at, height, cell.clock)
+        return touch_firm(cell.arm, at, height, helper.clock)
     finally:
         helper.put_away()
 

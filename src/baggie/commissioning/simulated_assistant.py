@@ -80,6 +80,10 @@ class SimulatedAssistant:
         """Nobody looks."""
         return None
 
+    def clock(self) -> float:
+        """Simulated."""
+        return self._cell.clock()
+
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """There, as exactly as the joints can."""
         assert T_base_hand is not None
