@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 import baggie
+from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.comparison import lattice
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
 from baggie.calibration.image_to_robot.picture import draw_comparison
@@ -21,7 +22,6 @@ from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.evaluation.pictures import save_jpeg
 from baggie.evaluation.results import provenance, write_results
 from baggie.geometry import Rectangle
-from baggie.policies.color_mask import MAP_FILE
 from baggie.policies.keypoint import KeypointPolicy
 from baggie.policies.learned_map import as_calibration
 from baggie.sim.bag import FULL_HEIGHT_M

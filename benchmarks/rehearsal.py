@@ -1,9 +1,12 @@
 """The whole way of a real cell, over the robot's own network protocol, in the virtual lab.
 
     python benchmarks/rehearsal.py --policy runs/policies/cell-15/keypoint --cell 15
+    python benchmarks/rehearsal.py --learn --size 640x480 --attempts 60 --out runs/night-640x480 --results \
+        docs/results/night-640x480
 
-Doctor, calibration, an unattended collection, and a policy that was trained on simulated data and never saw this
-connection. Goes on where it stopped and writes RESULTS.{json,md}.
+Doctor, calibration, an unattended collection, and a policy: one that was trained on simulated data and never saw this
+connection, or with `--learn` one that learned from what was collected here. Goes on where it stopped and writes
+RESULTS.{json,md}.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from commands import rate, start
 
 UNCALIBRATED, MAP = "lab.yaml", "image-to-robot.yaml"
 """The workcell file before the first step, and what that makes."""
+RECORDING, POLICY = "recording", "keypoint"
 _AWAY = PlanarPose(0.5, 0.8, 0.0)
 """Off the table: nothing may lie on it while the hand carries a marker over it."""
 
@@ -39,7 +43,11 @@ class Options:
 
     policy: Path = Path("runs/policies/cell-15/keypoint")
     """Trained in the simulated cell, on a recording of its own."""
+    learn: bool = False
+    """Train on what is collected here, and measure and report that, in place of taking `policy`."""
     cell: int = 15
+    size: str = "1280x720"
+    """Of the camera's pictures, pixels."""
     attempts: int = 20
     """To collect."""
     episodes: int = 20
@@ -59,14 +67,22 @@ def main(options: Options) -> None:
             step(options, "baggie calibrate image-to-robot", lambda: calibrate(file, control)),
             step(options, "baggie doctor --move yes", lambda: doctor(file, control)),
             step(options, "baggie collect", lambda: collect(file, control, options)),
-            step(options, "baggie evaluate", lambda: evaluate(file, options)),
         ]
+        if options.learn:
+            rows += [
+                step(options, "baggie train", lambda: train(file, options)),
+                step(options, "baggie validate", lambda: validate(file)),
+            ]
+        rows.append(step(options, "baggie evaluate", lambda: evaluate(file, options)))
+        if options.learn:
+            rows.append(step(options, "baggie report", lambda: report(file)))
+    learned = "what was collected here" if options.learn else "a recording of the simulated cell"
     notes = (
         "Everything went over Franka's control protocol (TCP and UDP) and the camera's network stream to `baggie lab`, "
-        f"which simulates cell {options.cell} behind them; nobody helped. The policy learned from a recording of the "
-        "simulated cell. Errors are against where the lab's camera sees the bag, by the map calibrated in the "
-        "first step; how far they are from the truth, and why, is in landing.md. The lab ran as fast as it could; "
-        "times are the wall clock's."
+        f"which simulates cell {options.cell} behind them with pictures of {options.size}; nobody helped. The policy "
+        f"learned from {learned}. Errors of the closed loop are against where the lab's camera sees the bag, by the "
+        "map calibrated in the first step; how far they are from the truth, and why, is in landing.md. The lab ran as "
+        "fast as it could; times are the wall clock's."
     )
     write_results(options.results, "A rehearsal in the virtual lab", rows, provenance([options.seed]), notes)
 
@@ -76,7 +92,7 @@ def lab(options: Options) -> Iterator[tuple[Path, LabControl]]:
     """A lab in a process of its own: its workcell file, which names the calibration to come, and its control."""
     file, printed = options.out / "cell.yaml", options.out / UNCALIBRATED
     address = f"--host {options.host} --camera-port {options.camera_port}"
-    words = f"lab --cell {options.cell} {address} --pace 0 --out {printed}"
+    words = f"lab --cell {options.cell} --size {options.size} {address} --pace 0 --out {printed}"
     process = start(words.split(), stdout=subprocess.PIPE)
     assert process.stdout is not None
     try:
@@ -118,14 +134,14 @@ def calibrate(file: Path, control: LabControl) -> str:
 def doctor(file: Path, control: LabControl) -> str:
     """Everything it checks, moving included."""
     control.lay_bag(_AWAY)
-    findings = answer(f"doctor {file} --move yes")["findings"]
+    findings = answer(f"doctor {file} --move yes --lab {control.address}")["findings"]
     return f"{sum(finding['verdict'] == 'ok' for finding in findings)} of {len(findings)} checks ok"
 
 
 def collect(file: Path, control: LabControl, options: Options) -> str:
     """Unattended."""
     control.reset(options.seed)
-    out = file.with_name("recording")
+    out = file.with_name(RECORDING)
     found = answer(
         f"collect --workcell {file} --workers 1 --attempts {options.attempts} --seed {options.seed} --out {out}"
     )
@@ -133,11 +149,36 @@ def collect(file: Path, control: LabControl, options: Options) -> str:
     return f"{found['succeeded']} of {found['attempts']} attempts succeeded, {rate_per_minute}"
 
 
+def train(file: Path, options: Options) -> str:
+    """The policy, on what was collected."""
+    words = f"--data {file.with_name(RECORDING)} --seed {options.seed} --out {file.with_name(POLICY)}"
+    found = answer(f"train --policy keypoint {words}")
+    return f"{found['steps']} steps"
+
+
+def validate(file: Path) -> str:
+    """The policy, on attempts that it did not learn from."""
+    run = file.with_name(POLICY)
+    found = answer(f"validate --policy {run} --data {file.with_name(RECORDING)} --out {run / 'validation'}")
+    errors = found["labels"]
+    means = f"{errors['pick_error_cm']['mean']:.2f} cm, place {errors['place_error_cm']['mean']:.2f} cm in the mean"
+    return f"pick {means}, of {found['held_out']['attempts']} attempts"
+
+
 def evaluate(file: Path, options: Options) -> str:
     """The policy moves bags to goals marked in the picture."""
-    words = f"--episodes {options.episodes} --seed {options.seed} --out {file.with_name('evaluation')}"
-    found = answer(f"evaluate --policy {options.policy} --workcell {file} {words}")
+    policy = file.with_name(POLICY) if options.learn else options.policy
+    out = policy / "evaluation" if options.learn else file.with_name("evaluation")
+    words = f"--episodes {options.episodes} --seed {options.seed} --out {out}"
+    found = answer(f"evaluate --policy {policy} --workcell {file} {words}")
     return f"{rate(found['success'])} within 2 cm, median {found['distance_cm']['median']:.2f} cm"
+
+
+def report(file: Path) -> str:
+    """All of it on one page."""
+    page = file.with_name("report.html")
+    answer(f"report {file.with_name(POLICY)} --out {page}")
+    return f"a page of {page.stat().st_size / 1e6:.1f} MB"
 
 
 def answer(command: str) -> Mapping[str, Any]:

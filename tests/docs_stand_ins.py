@@ -99,7 +99,7 @@ ANSWERS: Mapping[str, tuple[str, ...]] = {
         *("", "", ""),  # the bag's sides and height, and that it is soft
         "{color}",
     ),
-    "baggie doctor": ("y",),
+    "baggie doctor": ("y", "", "", ""),  # nobody lays or holds anything
     "baggie calibrate image-to-robot": ("", ""),
 }
 """What somebody types at the prompts of a command; Enter alone is empty."""

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 import baggie.collect.help as help_module
 import baggie.data.writer
 from baggie import seeds
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
 from baggie.collect.help import Help
 from baggie.collect.opening import what_opens
@@ -30,7 +31,6 @@ from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
-from baggie.workcell.watch import REFERENCE_FILE
 from fake_workcell import open_fake, open_faulty, open_unhelped
 from streaming import stream_here
 
@@ -189,10 +189,15 @@ def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path,
     assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
 
-def test_without_a_reference_nothing_is_watched():
+def test_without_a_reference_nothing_is_watched(reference):
+    from baggie.policies import load_policy
+
     opened = []
     recording = Recording("", 0, 0, (320, 180))
-    _open_worker(lambda number: opened.append(open_fake(number)) or opened[0], None, recording, None)
+    image_to_robot = load_policy(reference / "calibration").image_to_robot
+    _open_worker(
+        lambda number: opened.append(open_fake(number)) or opened[0], image_to_robot, recording, None
+    )
     assert opened[0].watch is None
 
 

@@ -22,12 +22,14 @@ from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace
 from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera_contract import check_camera
+from baggie.workcell.firm_touch import FORCE_N
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.limits import GuardedArm
-from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.primitives import Handling, least_turn, pick, place
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
 from lerobot_robot import FR3, NumbersRobot, settings
+from recording_arm import RecordingArm
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "own_arm.py"
@@ -56,6 +58,36 @@ def test_the_template_keeps_the_contract(own_arm: ModuleType) -> None:
     check_arm(GuardedArm(opened(own_arm), LIMITS))
 
 
+class Slept:
+    """The time that passes while the template sleeps."""
+
+    now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.mark.parametrize("sign", [1, 0, -1])
+def test_the_template_feels_a_firm_thing_and_would_be_found_out(own_arm: ModuleType, sign: int) -> None:
+    time = Slept()
+    robot = own_arm.ImaginaryRobot(table_z=0.04)
+    felt = own_arm.ImaginaryRobot.upward_force_n.fget
+    sick = type("Sick", (own_arm.ImaginaryRobot,), {"upward_force_n": property(lambda r: sign * felt(r))})
+    robot.__class__ = sick
+    arm = own_arm.OwnArm(robot, 0.85, sleep=time.sleep)
+
+    def check() -> list[str]:
+        return check_arm(
+            GuardedArm(arm, LIMITS), firm_height_m=0.04, tool_x=lambda: arm.pose().yaw, clock=lambda: time.now
+        )
+
+    if sign > 0:
+        assert check()[0] == "force: felt 3 times at z 40 mm, on a thing of 40 mm"
+        return
+    with pytest.raises(AssertionError, match="pushed on for as long as through the air"):
+        check()
+
+
 def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> None:
     arm = opened(own_arm, table_z=0.05, thing_m=0.02)
     handling, start, goal = Handling(), PlanarPose(0.5, 0.1), PlanarPose(0.45, -0.1)
@@ -64,6 +96,41 @@ def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> 
     release = place(GuardedArm(arm, LIMITS), goal, handling)
     for pose, where in ((grasp.pose, start), (release.pose, goal)):
         np.testing.assert_allclose(pose.xyz, where.at_height(0.05).xyz, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "pick_deg", "place_deg"), [(4, 45, 90), (2, 90, 180), (1, 90, 270), (0, 0, 0)]
+)
+def test_the_yaws_that_the_guide_calls_enough_are_enough(
+    symmetry: int, pick_deg: int, place_deg: int
+) -> None:
+    arm, angles = GuardedArm(RecordingArm(), LIMITS), np.linspace(-np.pi, np.pi, 25)
+    turned = [
+        least_turn(arm, PickPlace(PlanarPose(0.5, 0.0, a), PlanarPose(0.5, 0.1, b)), Handling(), symmetry)
+        for a in angles
+        for b in angles
+    ]
+    picks, places = (
+        np.rad2deg([abs(getattr(action, end).yaw) for action in turned]) for end in ("pick", "place")
+    )
+    assert picks.max() == pytest.approx(pick_deg, abs=8)
+    assert places.max() == pytest.approx(place_deg, abs=16)
+    assert picks.max() <= pick_deg + 1e-6
+    assert places.max() <= place_deg + 1e-6
+    span = "0 | 0" if symmetry == 0 else f"-{pick_deg} to {pick_deg} | -{place_deg} to {place_deg}"
+    assert f"| {span} |" in (ROOT / "docs" / "own-arm.md").read_text()
+
+
+def test_the_speeds_and_forces_that_the_guide_names_are_the_defaults() -> None:
+    text, handling = (ROOT / "docs" / "own-arm.md").read_text(), Handling()
+    for name in ("fast_m_s", "carry_m_s", "feel_m_s"):
+        assert f"| `{name}` | {getattr(handling, name):g} |" in text
+    assert (
+        f"asks for {handling.touch_force_n:g} N when it picks (`touch_force_n`) and {handling.land_force_n:g} N"
+        in text
+    )
+    assert f"`max_contact_force_n`, {LIMITS.max_contact_force_n:g} N" in text
+    assert f"the doctor for\n  {FORCE_N:g} N" in text
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 1))

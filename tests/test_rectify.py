@@ -26,7 +26,7 @@ poses = st.builds(PlanarPose, st.floats(0.4, 0.6), st.floats(-0.2, 0.2), st.floa
 
 @lru_cache
 def rectifier(size):
-    return Rectifier.of(MAP, size, GRID)
+    return Rectifier.of(MAP.for_size(size), GRID)
 
 
 RECTIFIER = rectifier(SIZE)
@@ -128,6 +128,6 @@ def test_a_map_that_knows_one_height_only_does_as_well():
     points = np.c_[xy, np.full(len(xy), BAG_HEIGHT_M / 2)]
     flat = ImageToRobot.fit(to_pixels(points), points, MAP.camera)
     assert not flat.height_aware
-    assert Rectifier.of(flat, full, GRID).to_grid(seen_at(xy, full)) == pytest.approx(
+    assert Rectifier.of(flat.for_size(full), GRID).to_grid(seen_at(xy, full)) == pytest.approx(
         GRID.to_pixels(xy), abs=0.5
     )

@@ -11,6 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
@@ -22,7 +23,6 @@ from baggie.learning.rectified import rectified, rectifier_for, with_seen_symmet
 from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy
-from baggie.policies.color_mask import MAP_FILE
 from baggie.types import Attempt, Goal, PickPlace
 from policy_contract import check_policy
 from synthetic import box_corners, carried, image_to_robot

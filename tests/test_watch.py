@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect import CollectOptions, collect
 from baggie.data import open_dataset
 from baggie.errors import BumpedError
 from baggie.geometry import PlanarPose
 from baggie.types import Image
 from baggie.workcell.simulated import SimulatedWorkcell
-from baggie.workcell.watch import LANDINGS, REFERENCE_FILE, Watch
+from baggie.workcell.watch import LANDINGS, Watch
 from fake_workcell import FakeCamera, FakeCell
 from streaming import stream_here
 

@@ -263,7 +263,9 @@ def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, force_n: float
 ) -> None:
     opened: list[WorkcellSettings] = []
-    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, _bag: opened.append(settings))
+    monkeypatch.setattr(
+        config, "SimulatedWorkcell", lambda _cell, settings, _bag, **_: opened.append(settings)
+    )
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     config._open(read_workcell_file(path), path)
@@ -307,19 +309,25 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ),
         (
             f"{FRANKA}camera:\n  kind: usb\n",
-            r"line 4: camera: .*'usb' .* 'realsense', 'orbbec', 'k4a', 'python'",
+            r"line 5: camera\.kind: .*'realsense', 'orbbec', 'k4a', 'python', got 'usb'; change it",
         ),
         ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
         ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),
         ("camera: {}\narm: true\n", r"line 2: arm: .*, got true; change it"),
-        ("cell: 1\narm: ur5\n", r"line 2: arm: .*'ur5' .* 'sim', 'replay', 'franka'"),
+        (
+            "cell: 1\narm: ur5\n",
+            r"line 2: arm\.kind: expected one of 'sim', 'replay', 'franka'.*, got 'ur5'; change it",
+        ),
         ("arm: replay\n", r"line 1: arm\.recording: Field required"),
         (f"{FRANKA}  port: 2\n", r"line 4: arm\.port: .* give one of kind, host, model, speed, realtime"),
         ("arm:\n  kind: franka\ncamera: 0\n", r"line 1: arm\.host: Field required"),
         (f"{FRANKA}  speed: 2\n", r"line 4: arm\.speed: .*less than or equal to 1, got 2"),
         (f"{FRANKA}  model: ur5\n", r"line 4: arm\.model: .*'fr3' or 'panda', got 'ur5'"),
         (FRANKA, r"a real arm needs a real camera; write `camera: 0`"),
-        ("camera: 0\n", r"the arm 'sim' sees with a camera of its own; leave `camera` out"),
+        (
+            "camera: 0\n",
+            r"the arm 'sim' sees with a camera of its own; give its `width` and `height`, or leave",
+        ),
         ("workspace:\n  y: [0.3, -0.3]\n", r"line 2: workspace\.y: expected the lower bound first"),
         ("handling:\n  grip_n: 3\n", r"line 2: handling\.grip_n: .* give one of travel_z_m, .*grasp_force_n"),
         (
@@ -368,6 +376,13 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ("bag: {color: [300, 0, -5]}\n", r"bag\.color\.0: .*less than or equal to 255, got 300"),
         ("bag: {color: [30, 0, -5]}\n", r"bag\.color\.2: .*greater than or equal to 0, got -5"),
         (f"{FRANKA}camera: {{size: [640, 0]}}\n", r"camera\.size\.1: .*greater than 0, got 0"),
+        ("camera: {width: 640}\narm: replay\n", r"arm\.recording: Field required"),
+        ("camera: {width: 100}\n", r"line 1: camera\.width: .*greater than or equal to 120, got 100"),
+        (
+            "camera: {width: 640, size: [640, 480]}\n",
+            r"camera\.size: there is no such entry; .* kind, width, height",
+        ),
+        (f"{FRANKA}camera: {{width: 640}}\n", r"a real arm needs a real camera"),
         (
             f"{FRANKA}camera: {{source: 1.10}}\n",
             r"camera\.source: .*valid string, got 1\.10; put it in quotes",

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 
+LONGEST_RECORDED = 640
+"""Pixels of the longer side of recorded pictures, at most."""
 _BRIGHTEST = 255
 _SENSOR_BITS = (10, 12, 14, 16)
 """Of sensors whose pictures come in uint16."""
@@ -18,6 +20,21 @@ _LEAST_PX = 1.0
 """A goal has at least this area, square pixels: corners in shares of the picture make one of less."""
 _ROUNDED = 0.5 / 255
 """So far a number may be outside of 0 to 1 and still mean the darkest or the brightest there is."""
+
+
+def recorded_size(camera_size: tuple[int, int]) -> tuple[int, int]:
+    """The size `(width, height)` that pictures of a camera are recorded at: its own shape, at most 640 pixels long."""
+    longest = max(camera_size)
+    if longest <= LONGEST_RECORDED:
+        return camera_size
+    width, height = (round(side * LONGEST_RECORDED / longest) for side in camera_size)
+    return width, height
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether pictures of one size `(width, height)` are those of the other resized, to whole pixels."""
+    (width, height), (other_width, other_height) = size, other
+    return abs(width * other_height - height * other_width) <= max(*size, *other) / 2
 
 
 def as_picture(picture: Any) -> NDArray[np.uint8]:

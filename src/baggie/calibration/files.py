@@ -16,6 +16,10 @@ from baggie.files import write_text
 from baggie.text_files import read_json, read_yaml
 
 VIEWS_FILE = "views.json"
+MAP_FILE = "image-to-robot.yaml"
+"""In the folder of a cell's calibration: the map from its camera's pictures to its robot."""
+REFERENCE_FILE = "reference.png"
+"""In the same folder: what the camera saw with the arm parked when the map was made."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from baggie import seeds
-from baggie.calibration.files import CameraIdentity
+from baggie.calibration.files import REFERENCE_FILE, CameraIdentity
 from baggie.calibration.image_to_robot.checks import MIN_POINTS_TWO_HEIGHTS
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import CollectorCell
@@ -17,7 +17,6 @@ from baggie.commissioning.points import color_finder, grid, visit
 from baggie.errors import BaggieError
 from baggie.geometry import transform_points
 from baggie.vision.picture_files import write_picture
-from baggie.workcell.watch import REFERENCE_FILE
 
 MARKER_HEIGHTS_M = (0.07, 0.17)
 """Above the table while it is looked at; the lower, just clear of a bag that lies there, unless that is higher."""

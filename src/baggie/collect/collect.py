@@ -13,8 +13,10 @@ from typing import Any
 import cv2
 from rich.console import Console
 
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
+from baggie.collect.cell import CollectorCell
 from baggie.collect.demonstrations import record_demonstrations
 from baggie.collect.help import Help
 from baggie.collect.opening import SIMULATED, OpenCell, what_opens
@@ -24,16 +26,16 @@ from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.errors import BaggieError
 from baggie.files import write_if_possible
+from baggie.pictures import recorded_size, same_shape
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.progress import ProgressBar, progress_bar
 from baggie.terminal import ask, is_attended
 from baggie.types import Attempt
 from baggie.vision.picture_files import read_picture
-from baggie.workcell.watch import REFERENCE_FILE, Watch
+from baggie.workcell.watch import Watch
 
-PICTURE_SIZE = (640, 360)
-"""`(width, height)` of the recorded pictures."""
 COVERAGE_FILE = "coverage.png"
 
 Sit = Callable[[tuple[int, ...]], Iterable[Attempt]]
@@ -57,24 +59,31 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     simulated = robot == SIMULATED
     patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
     collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery, **table}
-    with DatasetWriter(
-        options.out,
-        task=INSTRUCTIONS[options.task],
-        robot_type=robot,
-        picture_size=PICTURE_SIZE,
-        collection=collection,
-    ) as writer:
-        try:
-            (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
-            worker = _worker(options, open_cell, image_to_robot)
+
+    def calibrated() -> ImageToRobot:
+        (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
+        return image_to_robot
+
+    writer: DatasetWriter | None = None
+    try:
+        with DatasetWriter(
+            options.out,
+            task=INSTRUCTIONS[options.task],
+            robot_type=robot,
+            picture_size=lambda: recorded_size(calibrated().camera.size),
+            collection=collection,
+        ) as writer:
+            image_to_robot, size = calibrated(), writer.settings.picture_size
+            _describe(image_to_robot, size, console)
+            worker = _worker(options, open_cell, image_to_robot, size)
             attended = not simulated and is_attended()
             workers = options.workers or ((os.cpu_count() or 1) if robot == SIMULATED else 1)
             rate = _record(
                 options, worker, writer, console, workers=workers, patience=patience, attended=attended
             )
-        except KeyboardInterrupt:
-            recorded = f"{len(writer.attempt_ids)} of {options.attempts} attempts recorded"
-            raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
+    except KeyboardInterrupt:
+        recorded = f"{len(writer.attempt_ids) if writer else 0} of {options.attempts} attempts recorded"
+        raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
     dataset = open_dataset(options.out)
     summary = {**summarize(dataset, image_to_robot.area), "attempts_per_minute": rate}
     picture = options.out / COVERAGE_FILE
@@ -109,13 +118,21 @@ def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) 
             closing(open_cell(options.cell)) as cell,
         ):
             calibrate_into(folder, cell, options.seed, options.watched)
-    image_to_robot = ColorMaskPolicy.load(folder).image_to_robot
-    residuals = image_to_robot.residuals
+    return ColorMaskPolicy.load(folder).image_to_robot
+
+
+def _describe(image_to_robot: ImageToRobot, size: tuple[int, int], console: Console) -> None:
+    """Say how good the map is, and where pictures are recorded in another shape than the camera's."""
+    residuals, (width, height) = image_to_robot.residuals, image_to_robot.camera.size
     console.print(
         f"picture to robot: {residuals.kept.sum()} points, residual {residuals.rms_mm:.1f} mm, "
         f"{residuals.leave_one_out_mm:.1f} mm leave-one-out"
     )
-    return image_to_robot
+    if not same_shape(size, (width, height)):
+        console.print(
+            f"pictures of {width} x {height} pixels are squeezed to {size[0]} x {size[1]}, as they were when this "
+            "recording was begun; another folder records them in their own shape"
+        )
 
 
 def _record(
@@ -162,11 +179,23 @@ def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, 
     return [tuple(ids) for ids in sittings.values()]
 
 
-def _worker(options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot) -> Callable[[], Sit]:
-    """What a worker process begins with."""
-    recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, PICTURE_SIZE)
+def _worker(
+    options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot, size: tuple[int, int]
+) -> Callable[[], Sit]:
+    """What a worker process begins with, to record pictures of `size`, pixels."""
+    recording = Recording(INSTRUCTIONS[options.task], options.seed, options.cell, size)
     reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
     return functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
+
+
+def _check_camera(cell: CollectorCell, image_to_robot: ImageToRobot) -> None:
+    """Raise `BaggieError` where the camera's pictures are not as large as those that the map was fitted to."""
+    (width, height), (own_width, own_height) = cell.camera.size, image_to_robot.camera.size
+    if (width, height) != (own_width, own_height):
+        raise BaggieError(
+            f"expected a camera of {own_width} x {own_height} pixels, as when this recording was calibrated, got one "
+            f"of {width} x {height}; set it as it was, or record into another folder"
+        )
 
 
 def _open_worker(
@@ -175,6 +204,7 @@ def _open_worker(
     """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
     cv2.setNumThreads(1)
     cell = open_cell(recording.cell)
+    _check_camera(cell, image_to_robot)
     cell.watch = Watch(read_picture(reference)) if reference else None
 
     def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:

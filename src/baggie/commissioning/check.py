@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from baggie import seeds
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
 from baggie.calibration.image_to_robot.picture import draw_comparison
 from baggie.commissioning.assistant import PersonAtTerminal
@@ -23,7 +24,7 @@ from baggie.geometry import FloatArray, ToolPose, transform_points
 from baggie.ranges import Count, Number, Point, Positive
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Marker, parse_target
-from baggie.workcell.watch import REFERENCE_FILE, Watch
+from baggie.workcell.watch import Watch
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from baggie.calibration.files import CameraIdentity, read_views_file
+from baggie.calibration.files import REFERENCE_FILE, CameraIdentity, read_views_file
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.marker_offset import check_marker_offset
 from baggie.calibration.image_to_robot.picture import draw_residuals
@@ -28,7 +28,6 @@ from baggie.ranges import Count, Height, Point, Positive
 from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Seen
 from baggie.workcell.limits import Limits
-from baggie.workcell.watch import REFERENCE_FILE
 
 MARGIN_M = 0.03
 

@@ -14,15 +14,18 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from baggie.calibration.files import MAP_FILE
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data import lerobot
 from baggie.data.files import broken, check_complete, read_json, read_parquet
 from baggie.data.index import first_gap, read_numbers
-from baggie.data.layout import Layout
+from baggie.data.layout import CALIBRATION_FOLDER, Layout
 from baggie.data.png import decode_color, decode_height, is_whole
 from baggie.data.record import NUMBERS, SCHEMA, complete, to_attempt, to_grid
 from baggie.data.settings import DatasetSettings
 from baggie.errors import DataError
 from baggie.grid import Grid
+from baggie.pictures import same_shape
 from baggie.types import Attempt, Image, Observation
 
 _LISTED = tuple(
@@ -83,6 +86,24 @@ class Dataset(Sequence[Attempt]):
     def collection(self) -> Mapping[str, Any]:
         """The collector's settings, as given to `DatasetWriter`."""
         return self.settings.collection
+
+    @cached_property
+    def camera_size(self) -> tuple[int, int]:
+        """`(width, height)` at which the camera took the pictures, before they were resized for recording.
+
+        As the map says that the collector made; the recorded size where there is none. Raises DataError for a damaged
+        map.
+        """
+        path = self.root / CALIBRATION_FOLDER / MAP_FILE
+        return ImageToRobot.load(path).camera.size if path.exists() else self.settings.picture_size
+
+    @property
+    def squeezed(self) -> bool:
+        """Whether pictures were resized to another shape than the camera's, as older versions did.
+
+        Raises DataError as `camera_size` does.
+        """
+        return not same_shape(self.camera_size, self.settings.picture_size)
 
     @cached_property
     def attempt_ids(self) -> NDArray[np.int64]:

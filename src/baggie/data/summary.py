@@ -64,6 +64,8 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "task": dataset.settings.task,
         "robot_type": dataset.settings.robot_type,
         "picture_size": list(dataset.settings.picture_size),
+        "camera_size": list(dataset.camera_size),
+        **({"squeezed": True} if dataset.squeezed else {}),
         "attempt_ids": [int(f(dataset.attempt_ids)) for f in (np.min, np.max)] if len(dataset) else [],
         **_durations(dataset),
         "coverage": _coverage(dataset),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -45,41 +45,52 @@ class DatasetWriter:
         *,
         task: str,
         robot_type: str,
-        picture_size: tuple[int, int] = (640, 360),
+        picture_size: tuple[int, int] | Callable[[], tuple[int, int]] = (640, 360),
         collection: Mapping[str, Any] | None = None,
     ) -> None:
         """Open for writing.
 
-        `task` is the instruction in words, `picture_size` the `(width, height)` pictures are recorded at, and
-        `collection` anything JSON can hold that says how the attempts come about (seed, cell, object colour,
-        ...). Raises DataError when another process is writing there, when the dataset there was recorded with
+        `task` is the instruction in words. `picture_size` is the `(width, height)` pictures are recorded at, or what
+        tells it where a dataset is begun; one that is continued keeps its own. `collection` is anything JSON can hold
+        that says how the attempts come about (seed, cell, object colour, ...). Raises DataError when another process
+        is writing there, when the dataset there was recorded with
         other settings, or when it is damaged beyond repair.
         """
         self._layout = Layout(Path(root))
-        self.settings = DatasetSettings.make(task, robot_type, picture_size, collection or {})
         try:
             self._lock = Lock(self._layout.lock)
         except OSError as error:
             raise DataError(f"{root} cannot be written to: {error.strerror}") from None
         self._contents: Contents | None = None
         try:
-            self._begin()
+            self.settings = self._begin(task, robot_type, picture_size, collection or {})
             self._known()
         except BaseException:
             self._lock.release()
             raise
 
-    def _begin(self) -> None:
-        """Check that this dataset is ours to continue, or make an empty one."""
+    def _begin(
+        self,
+        task: str,
+        robot_type: str,
+        picture_size: tuple[int, int] | Callable[[], tuple[int, int]],
+        collection: Mapping[str, Any],
+    ) -> DatasetSettings:
+        """Check that this dataset is ours to continue, or make an empty one; its settings."""
         layout = self._layout
         if layout.collection.exists() or layout.info.exists():
-            DatasetSettings.read(layout).check_same(self.settings, layout.root)
-            return
-        settings = json_bytes(self.settings.to_json(), indent=2)
+            found = DatasetSettings.read(layout)
+            size = found.picture_size if callable(picture_size) else picture_size
+            asked = DatasetSettings.make(task, robot_type, size, collection)
+            found.check_same(asked, layout.root)
+            return asked
+        size = picture_size() if callable(picture_size) else picture_size
+        settings = DatasetSettings.make(task, robot_type, size, collection)
         try:
-            write_all([(layout.collection, settings)], layout.partial)
+            write_all([(layout.collection, json_bytes(settings.to_json(), indent=2))], layout.partial)
         except OSError as error:
             raise self._not_writable(error) from None
+        return settings
 
     def _known(self) -> Contents:
         """What is on the disk; found out, and repaired, at first and after an append that failed half-way."""

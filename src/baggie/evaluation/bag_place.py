@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
+from baggie.calibration.files import MAP_FILE
 from baggie.collect.calibrate import calibrate_into
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.evaluation.bench import Bench
@@ -21,7 +22,7 @@ from baggie.evaluation.kind import Kind
 from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.color_mask import CONFIG_FILE, MAP_FILE
+from baggie.policies.color_mask import CONFIG_FILE
 from baggie.seeds import EVALUATION
 
 

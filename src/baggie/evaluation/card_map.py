@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.subjects import config_of, in_its_cell
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.color_mask import MAP_FILE
 
 
 def card_map(options: EvaluateOptions) -> Path | None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.card_map import card_map
 from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.subjects import in_its_cell, open_policy
+from baggie.evaluation.subjects import calibration_folder, config_of, in_its_cell, open_policy
+from baggie.pictures import same_shape
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy
+from baggie.sim.cell import PICTURE_SIZE
 from baggie.types import Goal, Observation, Plan
 from baggie.vision.picture_files import read_picture
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
-from baggie.workcell.watch import REFERENCE_FILE, Watch
+from baggie.workcell.watch import Watch
 
 
 class ColorOfTheBag(Policy):
@@ -33,7 +36,7 @@ class ColorOfTheBag(Policy):
 
 def open_bench(options: EvaluateOptions) -> Bench:
     """The cell and the policy, and for `--goal card` the map that raises the card's corners, where there is one."""
-    cell = open_simulated(options.cell, scenery=options.scenery)
+    cell = open_simulated(options.cell, scenery=options.scenery, picture_size=camera_size(options))
     reference = _reference(options)
     cell.watch = Watch(read_picture(reference)) if reference else None
     map_file = card_map(options)
@@ -49,6 +52,18 @@ def open_bench(options: EvaluateOptions) -> Bench:
     if isinstance(policy, ColorMaskPolicy):
         policy = ColorOfTheBag(policy, cell)
     return Bench(cell, policy, to_robot)
+
+
+def camera_size(options: EvaluateOptions) -> tuple[int, int]:
+    """`(width, height)` of the pictures of the camera that the policy knows, pixels; the simulator's own for others."""
+    if options.policy == OraclePolicy.name:
+        return PICTURE_SIZE
+    if options.policy == ColorMaskPolicy.name:
+        folder = calibration_folder(options.calibration or options.out)
+        return ColorMaskPolicy.load(folder).image_to_robot.camera.size
+    width, height = config_of(options.policy)["camera_size"]
+    # A size that nobody wrote down is that of the recorded pictures, and the simulator's camera has a finer one.
+    return PICTURE_SIZE if same_shape((width, height), PICTURE_SIZE) else (width, height)
 
 
 def _reference(options: EvaluateOptions) -> Path | None:

@@ -13,6 +13,7 @@ from baggie.evaluation.results import VALIDATION, check_unmixed, provenance, wri
 from baggie.evaluation.subjects import open_policy
 from baggie.evaluation.validation_pictures import Scene, save_pictures
 from baggie.evaluation.would_count import would_count
+from baggie.policies import ColorMaskPolicy
 from baggie.ranges import Count, Options
 
 WORST = 10
@@ -51,6 +52,8 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     check_unmixed(options.out, VALIDATION)
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
+    if isinstance(policy, ColorMaskPolicy) and dataset.squeezed:  # the map sees what the recording shows
+        policy.image_to_robot = policy.image_to_robot.squeezed(dataset.settings.picture_size)
     chosen = held_out(options.policy, dataset, options.last)
     attempts = (dataset[index] for index in chosen.indices)
     predictions = predict(policy, attempts, len(chosen.indices))

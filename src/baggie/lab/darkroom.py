@@ -55,11 +55,11 @@ class Moment:
 class Darkroom:
     """The process that draws, one picture at a time."""
 
-    def __init__(self, cell: int) -> None:
-        """Raises `BaggieError` where nothing can render off screen."""
+    def __init__(self, cell: int, picture_size: tuple[int, int]) -> None:
+        """`picture_size`: `(width, height)`, pixels. Raises `BaggieError` where nothing can render off screen."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, cell), daemon=True)
+        self._process = context.Process(target=_work, args=(theirs, cell, picture_size), daemon=True)
         self._process.start()
         theirs.close()
         self._one_at_a_time = threading.Lock()
@@ -80,9 +80,9 @@ class Darkroom:
         self._process.join()
 
 
-def _work(pipe: Connection, cell: int) -> None:
+def _work(pipe: Connection, cell: int, picture_size: tuple[int, int]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the lab, which ends this process then
-    world = World(draw_cell(cell))
+    world = World(draw_cell(cell, picture_size))
     try:
         renderer = CameraRenderer(world)
     except BaggieError as error:

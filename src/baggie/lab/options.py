@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,8 @@ class LabOptions(Options):
     """Number of the simulated workcell: camera, lens, lights, table."""
     seed: Seed = 0
     """Of the scene: where the bag lies at first."""
+    size: str = "1280x720"
+    """Of the camera's pictures, pixels: WxH."""
     host: str = "127.0.0.1"
     """Address to listen at. The robot's ports there, 1337 and 1338, are given by its protocol; a second lab on the
     same computer takes another address, such as 127.0.0.2."""
@@ -33,6 +36,15 @@ class LabOptions(Options):
     def check(self) -> None:
         """Raise `UsageError` for what makes no lab."""
         self.faults()
+        self.picture_size()
+
+    def picture_size(self) -> tuple[int, int]:
+        """`(width, height)` of the camera's pictures, pixels. Raises `UsageError` for what is none."""
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size)
+        if not match:
+            raise UsageError(f"expected --size WIDTHxHEIGHT, in pixels, got {self.size}; try 640x480")
+        width, height = match.groups()
+        return int(width), int(height)
 
     def faults(self) -> list[tuple[str, float]]:
         """Names of faults, and when they come. Raises `UsageError` for what is neither."""

@@ -38,7 +38,7 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None]) -> None:
     for name, after_s in options.faults():
         check_fault(name, after_s)
     logging.getLogger("franky_sim").setLevel(logging.CRITICAL)  # a client that hangs up is no news
-    lab = Lab(options.cell, options.seed, options.host, options.pace)
+    lab = Lab(options.cell, options.seed, options.host, options.pace, options.picture_size())
     server = LabServer(lab, options.camera_port)
     for name, after_s in options.faults():
         cause(name, lab, server.camera, after_s)

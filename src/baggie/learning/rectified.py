@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.data.annotation import goal_of
@@ -19,7 +20,6 @@ from baggie.errors import DataError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
 from baggie.learning.labels import directions
-from baggie.policies.color_mask import MAP_FILE
 from baggie.types import Attempt, PickPlace
 
 _PIXEL_M = 0.003125
@@ -36,7 +36,7 @@ def from_camera(attempts: Sequence[Attempt]) -> bool:
 def rectifier_for(attempts: Sequence[Attempt], recording: Path) -> Rectifier:
     """To a grid over all that was picked and placed in pictures of one size, by the recording's own map.
 
-    Raises `DataError` where the recording has none, `CalibrationError` where it is of pictures of another shape.
+    Raises `DataError` where the recording has none.
     """
     path = recording / CALIBRATION_FOLDER / MAP_FILE
     if not path.exists():
@@ -45,7 +45,7 @@ def rectifier_for(attempts: Sequence[Attempt], recording: Path) -> Rectifier:
             "file; take a recording with one, or train keypoint, which needs none"
         )
     size = attempts[0].before.size
-    to_robot = ImageToRobot.load(path).for_size(size)
+    to_robot = ImageToRobot.load(path).squeezed(size)
     pixels = np.concatenate([[attempt.box_before, goal_of(attempt).corners] for attempt in attempts])
     boxes = to_robot.to_robot(pixels.reshape(-1, 2)).reshape(-1, 4, 2)
     middles = boxes.mean(axis=1)
@@ -55,7 +55,7 @@ def rectifier_for(attempts: Sequence[Attempt], recording: Path) -> Rectifier:
     low = np.floor((places.min(axis=0) - reach) / _PIXEL_M)
     high = np.ceil((places.max(axis=0) + reach) / _PIXEL_M)
     (x_low, x_high), (y_low, y_high) = (np.c_[low, high] * _PIXEL_M).tolist()
-    return Rectifier.of(to_robot, size, Grid((x_low, x_high), (y_low, y_high), pixel_m=_PIXEL_M))
+    return Rectifier.of(to_robot, Grid((x_low, x_high), (y_low, y_high), pixel_m=_PIXEL_M))
 
 
 def rectified(attempt: Attempt, rectifier: Rectifier) -> Attempt:

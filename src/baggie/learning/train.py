@@ -14,7 +14,8 @@ import torch
 from accelerate import Accelerator
 from rich.console import Console
 
-from baggie.data import open_dataset
+from baggie.calibration.files import REFERENCE_FILE
+from baggie.data import Dataset, open_dataset
 from baggie.data.files import read_json
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.errors import DataError
@@ -37,7 +38,6 @@ from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.learned import LearnedPolicy, check_device
 from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.types import Attempt
-from baggie.workcell.watch import REFERENCE_FILE
 
 METRICS = "metrics.json"
 
@@ -64,6 +64,8 @@ def train(
     torch.manual_seed(options.seed)
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = recipe.steps if options.steps is None else options.steps
+    if isinstance(recorded, Dataset):
+        recipe.policy.camera_size = recorded.camera_size
     recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
@@ -75,6 +77,12 @@ def train(
         train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
         Console(stderr=True).print(
             f"learning from {train} attempts, measuring on {val} others (--train and --val say how many)"
+        )
+    if isinstance(recorded, Dataset) and recorded.squeezed and accelerator.is_main_process:
+        (width, height), (to_width, to_height) = recorded.camera_size, recorded.settings.picture_size
+        Console(stderr=True).print(
+            f"these pictures of {width} x {height} were squeezed to {to_width} x {to_height} when they were recorded; "
+            "the policy will squeeze what it sees alike"
         )
     training = Training(
         recipe,
@@ -166,9 +174,10 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     path = options.out / checkpoint.CONFIG
     if path.exists():
         found, asked = checkpoint.read_config(options.out), policy.config()
-        # An older version wrote neither down: its run is taken for one of this task and these attempts.
+        # Older versions did not write these down: their run is taken for one of this task, attempts and camera.
         unsaid = {name: asked["training"][name] for name in ("task", "labels")}
         found["training"] = unsaid | found.get("training", {})
+        found["camera_size"] = asked["camera_size"]
         if found != asked:
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"

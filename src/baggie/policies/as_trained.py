@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from baggie.errors import BaggieError
+from baggie.pictures import same_shape
 from baggie.types import Goal, Image, Observation, seen
 from baggie.vision.draw import check_goal
 
 
-def as_trained(observation: Observation, goal: Goal, size: tuple[int, int]) -> tuple[Image, Goal]:
+def as_trained(
+    observation: Observation, goal: Goal, size: tuple[int, int], camera_size: tuple[int, int]
+) -> tuple[Image, Goal]:
     """Picture and goal at `size` (width, height), that of the training pictures.
 
-    Raises `BaggieError` when the goal leaves the picture, or the picture has another shape than those.
+    Those are pictures of `camera_size` resized, squeezed where their shape is another. Raises `BaggieError` when the
+    goal leaves the picture, or the picture is neither one of the training's size nor of the camera's shape.
     """
     (width, height), (to_width, to_height) = seen(observation).size, size
     check_goal(goal, (width, height))
-    if abs(width * to_height - height * to_width) > max(to_width, to_height):
+    if (width, height) != size and not same_shape((width, height), camera_size):
+        own_width, own_height = camera_size
         raise BaggieError(
-            f"this policy was trained on pictures of {to_width} x {to_height} pixels, but got one of {width} x "
+            f"this policy was trained on pictures of {own_width} x {own_height} pixels, but got one of {width} x "
             f"{height}: it belongs to another camera; train one for this one"
         )
     color = Observation(observation.color).resized(to_width, to_height).color

@@ -15,6 +15,7 @@ import huggingface_hub
 import yaml
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
 
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.errors import DataError, WriteError
 from baggie.text_files import read_yaml
 
@@ -57,6 +58,15 @@ def config_bytes(config: Mapping[str, Any]) -> bytes:
     return str(text).encode()
 
 
+def sizes(config: Mapping[str, Any]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """`(width, height)` of a policy's training pictures, and at which its camera took them; pixels.
+
+    Raises `KeyError`, `TypeError` or `ValueError` for what is none.
+    """
+    (width, height), (camera_width, camera_height) = config["picture_size"], config["camera_size"]
+    return (int(width), int(height)), (int(camera_width), int(camera_height))
+
+
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files by name into a folder, which is made, complete or not at all.
 
@@ -89,4 +99,18 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise DataError(f"{path} cannot be read: it is damaged; train again or take a copy") from None
     if not isinstance(config, dict) or "policy" not in config:
         raise DataError(f"{path} does not describe a policy: give the folder of a training run")
+    if (
+        "camera_size" not in config and "picture_size" in config
+    ):  # an older version squeezed pictures, and did not say
+        config["camera_size"] = _reference_size(folder) or config["picture_size"]
     return config
+
+
+def _reference_size(folder: Path) -> list[int] | None:
+    """`[width, height]` of what the camera saw when the policy's cell was calibrated; None where nobody kept that."""
+    path = folder / REFERENCE_FILE
+    if not path.exists():
+        return None
+    from baggie.vision.picture_files import read_picture  # noqa: PLC0415 -- of older versions' runs only
+
+    return list(read_picture(path).shape[1::-1])

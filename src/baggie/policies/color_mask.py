@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
+from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import write_text
@@ -19,7 +20,6 @@ from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
-MAP_FILE = "image-to-robot.yaml"
 
 
 class ColorMaskPolicy(Policy):

@@ -63,8 +63,7 @@ class ExportedPolicy(Policy):
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         """`config`: the content of `config.yaml`. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
         self.graph = graph
-        width, height = config["picture_size"]
-        self.picture_size = (int(width), int(height))
+        self.picture_size, self.camera_size = checkpoint.sizes(config)
         self.cell = int(config["cell"])
         self.name = str(config["policy"])
 
@@ -81,7 +80,9 @@ class ExportedKeypoint(ExportedPolicy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, marked(goal))
+        return keypoint_plan.plan(
+            self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
+        )
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
         """Run the network; see `keypoint_plan.Read`."""
@@ -98,7 +99,14 @@ class ExportedRegression(ExportedPolicy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, marked(goal))
+        return regression_plan.plan(
+            self.read,
+            self.goal_input,
+            self.picture_size,
+            observation,
+            marked(goal),
+            camera_size=self.camera_size,
+        )
 
     def read(self, images: NDArray[np.uint8]) -> Float32:
         """Run the network; see `regression_plan.Read`."""

@@ -54,7 +54,9 @@ class KeypointPolicy(LearnedPolicy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(self.read, self.view, self.goal_input, observation, marked(goal))
+        return keypoint_plan.plan(
+            self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
+        )
 
     def reader(self) -> KeypointReader:
         """The network with all that is computed from it, in evaluation mode: what is exported."""

@@ -105,8 +105,16 @@ def to_picture(view: View) -> FloatArray:
     return view.normalize() @ view.from_input() @ CELLS_TO_INPUT
 
 
-def plan(read: Read, view: View, goal_input: GoalInput, observation: Observation, goal: Goal) -> Plan:
-    """Where to pick and where to place.
+def plan(
+    read: Read,
+    view: View,
+    goal_input: GoalInput,
+    observation: Observation,
+    goal: Goal,
+    *,
+    camera_size: tuple[int, int],
+) -> Plan:
+    """Where to pick and where to place, by a network whose training pictures a camera took at `camera_size` pixels.
 
     The pick's yaw is that of the object's sides, the long ones where it has any; the place's that of the goal's, turned
     by whole symmetries so that the hand turns least. Confidence is the share of the heat maps' weight near the points,
@@ -114,7 +122,7 @@ def plan(read: Read, view: View, goal_input: GoalInput, observation: Observation
     outside the part of the picture in which the training attempts took place.
     """
     size = seen(observation).size
-    picture, goal = as_trained(observation, goal, view.picture)
+    picture, goal = as_trained(observation, goal, view.picture, camera_size)
     _check_view(view, goal.corners, "the goal", size)
     near = _ANYWHERE
     if goal.object_at is not None:

@@ -45,6 +45,8 @@ class LearnedPolicy(Policy):
         """`picture_size`: `(width, height)` of its training pictures; `cell`: where they were taken."""
         self.network = network
         self.picture_size = picture_size
+        self.camera_size = picture_size
+        """`(width, height)` at which the camera took the training pictures, before they were resized for recording."""
         self.cell = cell
         self.training: Mapping[str, Any] = {}
         """How it was trained, as it stands in its config; empty for one that was not."""
@@ -73,6 +75,7 @@ class LearnedPolicy(Policy):
             "policy": self.name,
             "cell": self.cell,
             "picture_size": list(self.picture_size),
+            "camera_size": list(self.camera_size),
             "model": self.model_config(),
             "training": dict(self.training),
         }
@@ -95,8 +98,9 @@ class LearnedPolicy(Policy):
             raise DataError(f"{folder} holds a {config['policy']} policy, but {cls.name} was asked for")
         tensors = weights.read(folder, cls.name)
         try:
-            width, height = config["picture_size"]
-            policy = cls.build(config["model"], (int(width), int(height)), int(config["cell"]))
+            picture_size, camera_size = checkpoint.sizes(config)
+            policy = cls.build(config["model"], picture_size, int(config["cell"]))
+            policy.camera_size = camera_size
             policy.network.load_state_dict(tensors)
         except (KeyError, TypeError, ValueError, RuntimeError):
             raise DataError(

@@ -92,7 +92,14 @@ class RegressionPolicy(LearnedPolicy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(self.read, self.goal_input, self.picture_size, observation, marked(goal))
+        return regression_plan.plan(
+            self.read,
+            self.goal_input,
+            self.picture_size,
+            observation,
+            marked(goal),
+            camera_size=self.camera_size,
+        )
 
     def read(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Run the network; see `regression_plan.Read`."""

@@ -35,12 +35,19 @@ def network_input(drawn: GoalInput, picture: Image, goal: Goal) -> Image:
 
 
 def plan(
-    read: Read, drawn: GoalInput, picture_size: tuple[int, int], observation: Observation, goal: Goal
+    read: Read,
+    drawn: GoalInput,
+    picture_size: tuple[int, int],
+    observation: Observation,
+    goal: Goal,
+    *,
+    camera_size: tuple[int, int],
 ) -> Plan:
     """Pick and place positions; yaw 0 and confidence 1, as it has no word on either.
 
-    `picture_size`: `(width, height)` of the training pictures. Raises `BaggieError` when the goal leaves the picture.
+    `picture_size`: `(width, height)` of the training pictures, which a camera took at `camera_size`; pixels. Raises
+    `BaggieError` as `as_trained` does.
     """
-    image = network_input(drawn, *as_trained(observation, goal, picture_size))
+    image = network_input(drawn, *as_trained(observation, goal, picture_size, camera_size))
     pick, place = read(image[None])[0]
     return Plan(PickPlace(PlanarPose(*map(float, pick)), PlanarPose(*map(float, place))))

@@ -11,9 +11,11 @@ from baggie.geometry import FloatArray, invert_transform
 from baggie.sim.lens import Lens
 
 PICTURE_SIZE = (1280, 720)
-HORIZONTAL_FOV = np.deg2rad(
-    90.0
-)  # Azure Kinect colour camera, 16:9 modes: 90 x 59 degrees (Microsoft's data sheet)
+"""`(width, height)` pixels, unless another camera is asked for."""
+SMALLEST_SIDE, LARGEST_SIDE = 120, 4096
+"""Pixels of a picture's side: on fewer a bag is a few pixels wide, and more fill no memory of a renderer's."""
+HORIZONTAL_FOV = np.deg2rad(90.0)
+"""Azure Kinect colour camera: 90 x 59 degrees in its 16:9 modes, 90 x 74 in its 4:3 ones (Microsoft's data sheet)."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,19 @@ class Cell:
         return self.lens.project(in_camera)
 
 
-def draw_cell(number: int) -> Cell:
-    """The cell with this number: always the same one. Raises `BaggieError` for a number below 0, or for none."""
+def draw_cell(number: int, picture_size: tuple[int, int] = PICTURE_SIZE) -> Cell:
+    """The cell with this number, always the same one, seen by a camera with pictures of `picture_size`, pixels.
+
+    Whatever their shape, they are as many degrees wide. Raises `BaggieError` for a number below 0, or for none, and for
+    pictures smaller or larger than can be drawn.
+    """
     if not isinstance(number, int | np.integer) or number < 0:
         raise BaggieError(f"expected the number of a cell, a whole one from 0 on, got {number!r}; take 0")
+    if not all(SMALLEST_SIDE <= side <= LARGEST_SIDE for side in picture_size):
+        raise BaggieError(
+            f"expected a camera whose pictures have sides of {SMALLEST_SIDE} to {LARGEST_SIDE} pixels, got "
+            f"{picture_size[0]} x {picture_size[1]}; take 640 x 480"
+        )
     rng = np.random.default_rng([0xCE11, number])
     position = np.array([rng.uniform(0.54, 0.66), rng.uniform(-0.12, 0.12), rng.uniform(0.76, 0.86)])
     aim = np.array([0.52 + rng.uniform(-0.03, 0.03), rng.uniform(-0.04, 0.04), 0.0])
@@ -83,7 +94,7 @@ def draw_cell(number: int) -> Cell:
         number=number,
         camera_position=position,
         camera_rotation=_look_at(position, aim, roll=rng.normal(0.0, np.deg2rad(3.0))),
-        lens=Lens.random(rng, PICTURE_SIZE, HORIZONTAL_FOV),
+        lens=Lens.random(rng, picture_size, HORIZONTAL_FOV),
         lights=lights,
         ambient=rng.uniform(0.25, 0.35),
         table_color=(int(table[0]), int(table[1]), int(table[2])),

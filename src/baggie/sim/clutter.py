@@ -9,7 +9,7 @@ import numpy as np
 
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.seeds import first_fit
-from baggie.sim.cell import PICTURE_SIZE, Cell
+from baggie.sim.cell import Cell
 from baggie.sim.colors import ALL_HUES, Color, random_hue, rgb
 from baggie.sim.distractors import Distractor, Kind
 
@@ -19,7 +19,8 @@ APART_M = 0.12
 """Between the middles of two things that stand."""
 _TABLE = Rectangle(0.25, 0.88, -0.62, 0.62)
 """Where things are put: on the table, in front of the robot."""
-_IN_VIEW_PX = 40
+_IN_VIEW_SHARE = 1 / 32
+"""Of the picture's width, by which what stands is inside the picture."""
 _TRIES = 200
 
 
@@ -73,7 +74,9 @@ def _fits(
         return True
     pose, standing = thing.pose, [other for other in others if other.standing]
     pixel = cell.project(np.array([[pose.x, pose.y, thing.size_m[2]]]))[0]
-    in_view = (pixel > _IN_VIEW_PX).all() and (pixel < np.array(PICTURE_SIZE) - _IN_VIEW_PX).all()
+    size = np.array(cell.lens.size)
+    margin = _IN_VIEW_SHARE * size[0]
+    in_view = (pixel > margin).all() and (pixel < size - margin).all()
     beside = not workspace.contains(pose.x, pose.y, -BESIDE_M)
     return bool(
         in_view and (within or beside) and all(pose.distance(other.pose) >= APART_M for other in standing)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.cell import PICTURE_SIZE, Cell
+from baggie.sim.cell import Cell
 from baggie.sim.gl import claim, require_backend
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import Image, Observation
@@ -85,8 +85,8 @@ class CameraRenderer:
         """Raises `BaggieError` where nothing can render off screen."""
         self._world = world
         self._lens = world.cell.lens
-        self._off_screen = OffScreen(world, PICTURE_SIZE)
-        self._sensor = Sensor(PICTURE_SIZE)
+        self._off_screen = OffScreen(world, self._lens.size)
+        self._sensor = Sensor(self._lens.size)
         self._detailed = np.flatnonzero(world.model.geom_group == DETAILED_GROUP)
         self._hulls = np.flatnonzero(world.model.geom_group == HULL_GROUP)
 
@@ -107,7 +107,7 @@ class CameraRenderer:
         radius = self._world.model.geom_rbound[self._detailed]
         reach = self._lens.intrinsics.matrix[0, 0] * radius / np.maximum(distance, 0.05) + 40.0
         pixels = self._world.cell.project(centers)
-        inside = (pixels > -reach[:, None]) & (pixels < np.array(PICTURE_SIZE) + reach[:, None])
+        inside = (pixels > -reach[:, None]) & (pixels < np.array(self._lens.size) + reach[:, None])
         return np.asarray(inside.all(axis=1) & (distance > 0))
 
     @contextmanager

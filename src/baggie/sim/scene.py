@@ -14,6 +14,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
+from baggie.sim.block import block_xml
 from baggie.sim.cell import Cell
 from baggie.sim.cup import CUP, CUP_OFFSET_M, fit_cup
 from baggie.sim.distractors import Distractor, distractor_xml
@@ -48,6 +49,8 @@ PADDLE_RADIUS_M = 0.025
 # hand would cover it if it were nearer, and it would leave the picture if it were further away.
 T_HAND_PLATE = rigid([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.13, 0, 0])
 CARD_SIZE_M = 0.13
+_LARGEST_FILM = (1280, 720)
+"""`(width, height)` pixels that there is room for, besides the camera's own pictures."""
 ARM = "arm_"  # prefix of everything that belongs to the arm
 Tool = Literal["hand", "cup"]
 
@@ -55,7 +58,7 @@ _WORLD = """
 <mujoco model="baggie">
   <option timestep="{timestep}" integrator="discrete" solver="Newton" cone="pyramidal" impratio="10" tolerance="1e-6"/>
   <visual>
-    <global offwidth="1280" offheight="720"/>
+    <global offwidth="{widest}" offheight="{highest}"/>
     <quality shadowsize="1024" offsamples="0"/>
     <headlight ambient="{ambient} {ambient} {ambient}" diffuse="0.15 0.15 0.15" specular="0 0 0"/>
     <map znear="0.1" zfar="20"/>
@@ -100,6 +103,7 @@ def build_model(
         cloths += _CLOTH.format(name="second_cloth")
         bags += bag_xml(second, SECOND_BAG, "second_cloth")
     things = bags + "".join(distractor_xml(number, thing) for number, thing in enumerate(distractors))
+    things += block_xml()
     scene = scene_spec(cell, cloths, things)
     model = scene.compile()
     rng = paint_table(model, cell)
@@ -118,6 +122,8 @@ def scene_spec(cell: Cell, assets: str, things: str, tool: Tool = "hand") -> muj
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
+        widest=max(_LARGEST_FILM[0], cell.lens.size[0]),
+        highest=max(_LARGEST_FILM[1], cell.lens.size[1]),
         table_height=TABLE_HEIGHT_M,
         floor=" ".join(f"{value / 255:.3f}" for value in cell.floor_color),
         card=CARD_SIZE_M / 2,

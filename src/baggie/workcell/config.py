@@ -98,11 +98,12 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
     if isinstance(entry, SimulatedEntry):
-        return SimulatedWorkcell(written.cell, settings, bag)
+        return SimulatedWorkcell(written.cell, settings, bag, picture_size=written.picture_size)
     arm = _open_arm(entry, path.parent)
     try:
         check_handled(written, path, arm.info)
-        camera = _open_camera(written.camera or CameraSettings(), path.parent)
+        assert isinstance(written.camera, CameraSettings | PythonEntry)  # or the file would have been refused
+        camera = _open_camera(written.camera, path.parent)
     except BaggieError:
         let_go(arm)
         raise

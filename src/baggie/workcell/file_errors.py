@@ -25,8 +25,12 @@ def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel
         said := re.match(r"(\w+)\.(\w+) is ", wrong)
     ):  # entries that contradict each other
         return f"{path}, line {_find(text, said.groups())[0]}: {wrong}"
-    line, entry, node = _find(text, first["loc"])
+    of_no_kind = first["type"] == "union_tag_invalid"
+    line, entry, node = _find(text, (*first["loc"], "kind") if of_no_kind else first["loc"])
     where = f"{path}, line {line}: {entry}"
+    if of_no_kind:
+        known, came = first["ctx"]["expected_tags"], first["ctx"]["tag"]
+        return f"{where}: expected one of {known}, got {came!r}; change it"
     if first["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
         known = ", ".join(_entries(_section(model, first["loc"][:-1])))
         return f"{where}: there is no such entry; take it out, or give one of {known}"

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.sim.bag import BagParameters
-from baggie.sim.cell import draw_cell
+from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.layout import lay_bags
 from baggie.sim.variety import Scenery, Variety, draw_variety
 from baggie.sim.world import World
@@ -38,9 +38,10 @@ class SimulatedWorkcell(MujocoWorkcell):
         settings: WorkcellSettings | None = None,
         bag: BagParameters | None = None,
         scenery: Scenery = "plain",
+        picture_size: tuple[int, int] = PICTURE_SIZE,
     ):
         self.scenery: Scenery = scenery
-        self._plain = draw_cell(cell), bag or BagParameters()
+        self._plain = draw_cell(cell, picture_size), bag or BagParameters()
         settings = settings or _describing(
             self._plain[1], WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)
         )
@@ -186,7 +187,13 @@ def _describing(bag: BagParameters, settings: WorkcellSettings) -> WorkcellSetti
 
 
 def open_simulated(
-    cell: int = 0, settings: WorkcellSettings | None = None, scenery: Scenery = "plain"
+    cell: int = 0,
+    settings: WorkcellSettings | None = None,
+    scenery: Scenery = "plain",
+    picture_size: tuple[int, int] = PICTURE_SIZE,
 ) -> SimulatedWorkcell:
-    """The simulated workcell with this cell number, its scenes as `baggie.sim.variety` says."""
-    return SimulatedWorkcell(cell, settings, scenery=scenery)
+    """The simulated workcell with this cell number, its scenes as `baggie.sim.variety` says.
+
+    `picture_size`: `(width, height)` of its camera's pictures, pixels.
+    """
+    return SimulatedWorkcell(cell, settings, scenery=scenery, picture_size=picture_size)

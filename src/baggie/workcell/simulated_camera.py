@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.cell import PICTURE_SIZE
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.sensor import Exposure
 from baggie.types import Intrinsics, Observation
@@ -19,7 +18,7 @@ class SimulatedCamera:
     def __init__(self, world: ArmWorld, usual: Exposure) -> None:
         """`usual`: what exposures drift about."""
         self.name = f"simulated camera of cell {world.cell.number}"
-        self.size = PICTURE_SIZE
+        self.size = world.cell.lens.size
         self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
         self._renderer = CameraRenderer(world)
         self._usual = usual

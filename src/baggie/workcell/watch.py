@@ -17,8 +17,6 @@ from baggie.geometry import PlanarPose
 from baggie.types import Image
 from baggie.vision.drift import Landmarks
 
-REFERENCE_FILE = "reference.png"
-"""In the folder of a calibration: what the camera saw with the arm parked when it was made."""
 LIMIT_SHARE = 0.4 / 1280
 """Of the picture's width, by which its background may seem to move: 0.4 pixels of 1280 are half a millimetre on a table
 seen from 0.8 m. Ordinary pictures stay below 0.2; of bumps along the grain of plain wood only half is seen."""

@@ -19,6 +19,7 @@ from pydantic import (
 
 from baggie.errors import BaggieError
 from baggie.ranges import Seed
+from baggie.sim.cell import LARGEST_SIDE, PICTURE_SIZE, SMALLEST_SIDE
 from baggie.text_files import parse_yaml, read_text
 from baggie.workcell.arm import ArmInfo
 from baggie.workcell.bag_entry import Bag, HandlingEntry
@@ -93,11 +94,21 @@ def _kind_alone(entry: Any) -> Any:
     return {"kind": entry} if isinstance(entry, str) else entry
 
 
-def _words_alone(entry: Any) -> Any:
+class SimulatedCameraEntry(Section):
+    """The camera of a simulated workcell, `camera: {width: 640, height: 480}`."""
+
+    kind: Literal["sim"] = "sim"
+    width: int = Field(PICTURE_SIZE[0], ge=SMALLEST_SIDE, le=LARGEST_SIDE)
+    """Of its pictures, pixels."""
+    height: int = Field(PICTURE_SIZE[1], ge=SMALLEST_SIDE, le=LARGEST_SIDE)
+
+
+def _camera_kind(entry: Any) -> Any:
+    """The entry with its kind: `camera: 0` for short, and a section with a width or a height is a simulated one's."""
     if isinstance(entry, (str, int)) and not isinstance(entry, bool):
         return CameraSettings.from_words(str(entry))
-    if isinstance(entry, Mapping):  # which kind of section it is does not go without saying for pydantic
-        return {"kind": CameraSettings.model_fields["kind"].default, **entry}
+    if isinstance(entry, Mapping) and "kind" not in entry:
+        return {"kind": "sim" if {"width", "height"} & entry.keys() else "opencv", **entry}
     return entry
 
 
@@ -108,7 +119,8 @@ ArmEntry = Annotated[
     BeforeValidator(_kind_alone),
 ]
 CameraEntry = Annotated[
-    Annotated[CameraSettings | PythonEntry, Field(discriminator="kind")], BeforeValidator(_words_alone)
+    Annotated[SimulatedCameraEntry | CameraSettings | PythonEntry, Field(discriminator="kind")],
+    BeforeValidator(_camera_kind),
 ]
 
 
@@ -152,7 +164,7 @@ class WorkcellFile(Section):
 
     arm: ArmEntry = SimulatedEntry()
     camera: CameraEntry | None = None
-    """Of a real arm, and of no other: a number, a device, an address or a kind, or a section."""
+    """Of a real arm: a number, a device, an address or a kind, or a section. Of a simulated one: its pictures' size."""
     cell: Seed = 0
     """Of a simulated workcell."""
     workspace: Bounds = Bounds()
@@ -189,11 +201,22 @@ class WorkcellFile(Section):
 
     @model_validator(mode="after")
     def _real_arms_need_real_cameras(self) -> WorkcellFile:
-        if isinstance(self.arm, REAL_ARMS) and self.camera is None:
+        real = isinstance(self.camera, CameraSettings | PythonEntry)
+        if isinstance(self.arm, REAL_ARMS) and not real:
             raise ValueError("a real arm needs a real camera; write `camera: 0`, or its device or address")
-        if not isinstance(self.arm, REAL_ARMS) and self.camera is not None:
-            raise ValueError(f"the arm {self.arm.kind!r} sees with a camera of its own; leave `camera` out")
+        if isinstance(self.arm, SimulatedEntry) and real:
+            raise ValueError(
+                "the arm 'sim' sees with a camera of its own; give its `width` and `height`, or leave `camera` out"
+            )
+        if isinstance(self.arm, ReplayEntry) and self.camera is not None:
+            raise ValueError("the arm 'replay' shows what a camera saw; leave `camera` out")
         return self
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """`(width, height)` of a simulated camera's pictures, pixels."""
+        camera = self.camera
+        return (camera.width, camera.height) if isinstance(camera, SimulatedCameraEntry) else PICTURE_SIZE
 
 
 def read_workcell_file(path: Path) -> WorkcellFile:

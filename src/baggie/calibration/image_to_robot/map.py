@@ -25,6 +25,7 @@ from baggie.calibration.image_to_robot.projection import derivatives, project, t
 from baggie.calibration.image_to_robot.residuals import Residuals
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, Rectangle, wrap_angle
+from baggie.pictures import same_shape
 from baggie.types import Intrinsics
 
 _KIND = "image-to-robot"
@@ -128,16 +129,21 @@ class ImageToRobot:
 
     def for_size(self, size: tuple[int, int]) -> ImageToRobot:
         """The map for the same camera's pictures resized. Raises `CalibrationError` for another shape."""
-        (width, height), (own_width, own_height) = size, self.camera.size
-        if size == self.camera.size:
-            return self
-        if width * own_height != height * own_width:
+        if not same_shape(size, self.camera.size):
+            (width, height), (own_width, own_height) = size, self.camera.size
             raise CalibrationError(
                 f"expected a picture of {own_width} x {own_height} pixels (or the same shape), "
                 f"got {width} x {height}; calibrate again with this camera"
             )
+        return self.squeezed(size)
+
+    def squeezed(self, size: tuple[int, int]) -> ImageToRobot:
+        """The map for the same camera's pictures resized to `size`, whatever shape that gives them."""
+        (width, height), (own_width, own_height) = size, self.camera.size
+        if size == self.camera.size:
+            return self
         scale = np.ones(len(self.covariance))
-        scale[:4] = width / own_width
+        scale[[0, 2]], scale[[1, 3]] = width / own_width, height / own_height  # of fx and cx, of fy and cy
         return replace(
             self,
             camera=CameraIdentity(self.camera.name, width, height),

@@ -39,12 +39,8 @@ class Rectifier:
     grid: Grid
 
     @classmethod
-    def of(cls, to_robot: ImageToRobot, size: tuple[int, int], grid: Grid) -> Self:
-        """At the map's height, for pictures of `size` (width, height).
-
-        Raises `CalibrationError` where the map is of pictures of another shape.
-        """
-        fitted = to_robot.for_size(size)
+    def of(cls, fitted: ImageToRobot, grid: Grid) -> Self:
+        """At the map's height, for pictures of the size that the map is of."""
         plane = fitted.projection[:, [0, 1, -1]].copy()
         if fitted.height_aware:
             plane[:, 2] += fitted.height_m * fitted.projection[:, 2]

@@ -119,7 +119,7 @@ class TransporterPolicy(LearnedPolicy):
         """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""
         if self.rectifier is None:
             return observation, goal
-        picture, goal = as_trained(observation, marked(goal), self.picture_size)
+        picture, goal = as_trained(observation, marked(goal), self.picture_size, self.camera_size)
         if not self.rectifier.contains(goal.corners):
             (u, v), grid = goal.center, self.grid
             raise BaggieError(
