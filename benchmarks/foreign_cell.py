@@ -114,20 +114,12 @@ def python_with_pybullet() -> Path:
     python, stamp = ENVIRONMENT / "bin" / "python", ENVIRONMENT / ".installed"
     wanted = (EXAMPLE / "requirements.txt").read_text()
     if not stamp.exists() or stamp.read_text() != wanted:
-        pip = [
-            python,
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--only-binary",
-            ":all:",
-        ]
-        for command in ([sys.executable, "-m", "venv", "--clear", ENVIRONMENT], [*pip, *wanted.split()]):
+        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted.split()]
+        for command in ([sys.executable, "-m", "venv", "--clear", ENVIRONMENT], pip):
             done = subprocess.run(command, check=False, capture_output=True, text=True)
             if done.returncode:
-                why = (done.stderr.strip() or "no reason given").splitlines()[-1]
+                said = done.stderr.strip().splitlines() or ["no reason given"]
+                why = next((line for line in reversed(said) if "error" in line.lower()), said[-1])
                 raise BaggieError(f"{' and '.join(wanted.split())} cannot be installed here: {why}")
         stamp.write_text(wanted)
     return python
