@@ -33,6 +33,7 @@ from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
 from baggie.evaluation.results import provenance, write_json, write_results
+from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Marker, Target, parse_target
 from baggie.workcell.arm_contract import check_arm
 from baggie.workcell.camera_contract import check_camera
@@ -68,6 +69,7 @@ class Options:
     seed: int = 0
     out: Path = Path("runs/foreign-cell")
     results: Path = Path("docs/results/foreign-cell")
+    media: Path = Path("docs/media/foreign-cell.jpg")
 
 
 def main(options: Options) -> None:
@@ -87,6 +89,9 @@ def main(options: Options) -> None:
     )
     for path in write_results(options.results, "A foreign cell", rows, provenance([options.seed]), notes):
         print(path)
+    marked = read_picture(options.out / Path(MAP).stem / "007.png")
+    planned = read_picture(options.out / "evaluation" / "episodes" / "episode-0000-before.jpg")
+    write_picture(options.media, np.hstack([marked, cv2.resize(planned, marked.shape[1::-1])]))
 
 
 def whole_way(options: Options) -> dict[str, dict[str, Any]]:
