@@ -96,8 +96,8 @@ def test_the_foreign_cell_s_cube_is_moved_to_goals(came: dict[str, dict[str, Any
     assert len(moved["distance_cm"]) == 10
     assert np.median(moved["distance_cm"]) < 0.5
     assert sum(distance <= 2 for distance in moved["distance_cm"]) >= 9
-    page = Path(came["report"]["page"]).read_text()
-    assert "PyBullet" in page
+    assert moved["robot"] == "PyBullet's Panda"
+    assert "cell.yaml" in Path(came["report"]["page"]).read_text()
 
 
 @pytest.mark.slow
