@@ -91,7 +91,9 @@ def main(options: Options) -> None:
         print(path)
     marked = read_picture(options.out / Path(MAP).stem / "007.png")
     planned = read_picture(options.out / "evaluation" / "episodes" / "episode-0000-before.jpg")
-    write_picture(options.media, np.hstack([marked, cv2.resize(planned, marked.shape[1::-1])]))
+    height = len(marked)
+    scaled = cv2.resize(planned, (round(planned.shape[1] * height / len(planned)), height))
+    write_picture(options.media, np.hstack([marked, scaled]))
 
 
 def whole_way(options: Options) -> dict[str, dict[str, Any]]:
@@ -275,7 +277,7 @@ class Way:
             },
             "distance_cm": away,
             "pressed_n": truth["pressed_n"],
-            "failures": found["failures"],
+            "robot": found["robot"],
         }
 
     def report(self) -> dict[str, Any]:

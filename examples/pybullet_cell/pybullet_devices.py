@@ -25,7 +25,7 @@ class Link:
     """A line of JSON to the simulator, a line back. It is opened at the first use, and again after it broke."""
 
     def __init__(self, port: int, error: type[BaggieError]) -> None:
-        self._port, self._error, self._socket = port, error, None
+        self._port, self._error = port, error
         self._lines: Any = None
         self._one_at_a_time = threading.Lock()
 

@@ -74,20 +74,13 @@ class Cell:
         bullet.setGravity(0, 0, -9.81)
         _load(bullet, "plane.urdf", (0, 0, -0.6))
         self._table = _box(bullet, (0.40, 0.60, 0.02), (0.65, 0, -0.02), (0.82, 0.72, 0.58, 1), 0.0)
-        for place, color in (
-            ((0.30, -0.52, 0.03), (0.2, 0.5, 0.3, 1)),
-            ((0.95, 0.5, 0.02), (0.3, 0.3, 0.4, 1)),
-        ):
-            _box(
-                bullet, (0.04, 0.03, place[2]), place, color, 0.0
-            )  # for the camera to see whether it was bumped
+        # What lies about, as on every table: a camera that was bumped sees it elsewhere.
+        _box(bullet, (0.04, 0.03, 0.03), (0.30, -0.52, 0.03), (0.2, 0.5, 0.3, 1), 0.0)
+        _box(bullet, (0.04, 0.03, 0.02), (0.95, 0.50, 0.02), (0.3, 0.3, 0.4, 1), 0.0)
         self._cube = _box(bullet, (CUBE_M / 2,) * 3, (0.5, 0, CUBE_M / 2), CUBE_COLOR, CUBE_KG)
         self._arm = _load(bullet, "franka_panda/panda.urdf", useFixedBase=True)
-        for body, link in (
-            (self._table, -1),
-            (self._cube, -1),
-            *((self._arm, link) for link in FINGER_JOINTS),
-        ):
+        touching = [(self._table, -1), (self._cube, -1), *((self._arm, link) for link in FINGER_JOINTS)]
+        for body, link in touching:
             bullet.changeDynamics(
                 body,
                 link,
