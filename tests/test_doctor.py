@@ -65,6 +65,14 @@ def test_a_healthy_arm_passes_and_moves_slowly() -> None:
     assert max(arm.speeds) <= 0.1
 
 
+def test_an_arm_that_is_slower_than_the_check_up_is_checked_as_fast_as_it_goes() -> None:
+    arm = ObedientArm()
+    arm.info = replace(arm.info, max_speed_m_s=0.03)
+    for check in health.MOVING.values():
+        assert check(cell(arm))
+    assert max(arm.speeds) == pytest.approx(0.03)
+
+
 @pytest.mark.parametrize(
     ("check", "sick", "error", "says"),
     [

@@ -23,7 +23,9 @@ from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
-from baggie.policies import ColorMaskPolicy
+from baggie.policies import ColorMaskPolicy, KeypointPolicy
+from baggie.policies.keypoint_net import KeypointNet
+from baggie.policies.view import View
 from baggie.types import Outcome
 from baggie.workcell.calibrations import Calibrations
 from baggie.workcell.workcell import WorkcellSettings
@@ -261,6 +263,20 @@ def test_without_a_map_nobody_can_measure():
 def test_what_a_real_cell_cannot_do_is_refused(tmp_path, asked, said):
     with pytest.raises(BaggieError, match=said):
         replace(options(tmp_path), **asked).check()
+
+
+def test_a_policy_of_another_camera_is_refused_before_the_first_episode(tmp_path, monkeypatch):
+    network = KeypointNet(8, 4, "small")
+    view = View((640, 360), 0, 0, 640, 360, (160, 88))
+    KeypointPolicy(network, view, 0).save_pretrained(tmp_path / "run")
+    opened = calibrated(RealFake(size=(640, 480)))
+    monkeypatch.setattr("baggie.evaluation.seen_bench.open_workcell", lambda _: opened)
+    monkeypatch.setattr("baggie.evaluation.seen_bench.RealWorkcell", RealFake)
+    asked = replace(options(tmp_path / "out"), policy=str(tmp_path / "run"))
+    with pytest.raises(
+        BaggieError, match="trained on pictures of 640 x 360 pixels, but got one of 640 x 480"
+    ):
+        open_bench(asked)
 
 
 def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):

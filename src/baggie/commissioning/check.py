@@ -130,7 +130,7 @@ def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) 
         return np.zeros((0, 2))
     on_table = image_to_robot.at_height(0.0) if image_to_robot.height_aware else image_to_robot
     find = marker_finder(marker)
-    errors, speed = [], min(_SPEED_M_S, cell.arm.info.max_speed_m_s)
+    errors, speed = [], cell.arm.at_most(_SPEED_M_S)
     for number in range(options.touches):
         bench.assistant.lay(
             marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"

@@ -138,7 +138,7 @@ def corners(cell: Workcell) -> str:
     """The arm gets everywhere above the workspace."""
     area, off = cell.settings.workspace, []
     here = cell.arm.pose()
-    cell.arm.move_to(replace(here, z=max(here.z, high(cell))), SLOW_M_S)
+    cell.arm.move_to(replace(here, z=max(here.z, high(cell))), cell.arm.at_most(SLOW_M_S))
     ring = [
         (area.x_min, area.y_min),
         (area.x_max, area.y_min),
@@ -147,7 +147,9 @@ def corners(cell: Workcell) -> str:
     ]
     for x, y in [*ring, middle(cell)]:
         target = PlanarPose(x, y).at_height(high(cell))
-        off.append(float(np.linalg.norm(cell.arm.move_to(target, SLOW_M_S).xyz - target.xyz)))
+        off.append(
+            float(np.linalg.norm(cell.arm.move_to(target, cell.arm.at_most(SLOW_M_S)).xyz - target.xyz))
+        )
     return f"four corners and the middle, at most {1000 * max(off):.1f} mm off"
 
 
@@ -155,9 +157,11 @@ def touch(cell: Workcell) -> str:
     """The table is where it is said to be, and nothing lies in the middle."""
     limits, lowest = cell.arm.limits, cell.settings.handling.pick_z_m
     x, y = middle(cell)
-    cell.arm.move_to(PlanarPose(x, y).at_height(high(cell)), SLOW_M_S)
-    reached = cell.arm.lower_until_contact(lowest, FEEL_M_S, min(FEEL_N, limits.max_contact_force_n))
-    cell.arm.move_to(replace(reached, z=high(cell)), SLOW_M_S)
+    cell.arm.move_to(PlanarPose(x, y).at_height(high(cell)), cell.arm.at_most(SLOW_M_S))
+    reached = cell.arm.lower_until_contact(
+        lowest, cell.arm.at_most(FEEL_M_S), min(FEEL_N, limits.max_contact_force_n)
+    )
+    cell.arm.move_to(replace(reached, z=high(cell)), cell.arm.at_most(SLOW_M_S))
     if reached.z > lowest + LIES_M:
         raise ArmError(
             f"something was touched at z {1000 * reached.z:.0f} mm, {1000 * (reached.z - lowest):.0f} mm too early; "

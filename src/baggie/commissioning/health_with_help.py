@@ -79,7 +79,7 @@ def _asked(cell: Workcell, helper: Helper) -> float:
 def _go_above(cell: Workcell) -> PlanarPose:
     """Above the middle of the workspace, at yaw 0."""
     at = PlanarPose(*middle(cell))
-    cell.arm.move_to(at.at_height(high(cell)), SLOW_M_S)
+    cell.arm.move_to(at.at_height(high(cell)), cell.arm.at_most(SLOW_M_S))
     return at
 
 

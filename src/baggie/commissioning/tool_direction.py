@@ -49,7 +49,7 @@ def see_tool_x(cell: Workcell, find: Find, high_z_m: float) -> float | None:
     def look_from(x: float, y: float, yaw: float) -> list[FloatArray]:
         target = PlanarPose(float(middle[0]) + x, float(middle[1]) + y, yaw).at_height(high_z_m)
         try:
-            pose = cell.arm.move_to(target, _SPEED_M_S)
+            pose = cell.arm.move_to(target, cell.arm.at_most(_SPEED_M_S))
         except ReachError:
             return []
         pixel = find(cell.camera.look().color)

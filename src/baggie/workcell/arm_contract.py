@@ -39,7 +39,7 @@ def check_arm(
 
     Args:
         arm: Behind the gate.
-        speed_m_s: Of all motions but the touch, which is slower.
+        speed_m_s: Of all motions but the touch, which is slower; less where arm or limits allow less.
         between_z_m: The two heights of the tool.
         firm_height_m: How high a firm thing is, metres (3 cm or more), that lies under the middle of the workspace: the
             tool comes down on it slowly, three times, and has to feel it. None leaves that out.
@@ -48,7 +48,7 @@ def check_arm(
         clock: Seconds of the arm's own time: another than the wall clock's where it is simulated.
     """
     assert isinstance(arm, Arm), "an arm has every method of `baggie.workcell.arm.Arm`"
-    area = arm.limits.workspace
+    area, speed_m_s = arm.limits.workspace, arm.at_most(speed_m_s)
     center = PlanarPose((area.x_min + area.x_max) / 2, (area.y_min + area.y_max) / 2, 0.3)
     low_z, high_z = between_z_m
     target = center.at_height(high_z)

@@ -73,6 +73,10 @@ class GuardedArm:
                 "choose a place inside or widen the workspace in the workcell file"
             )
 
+    def at_most(self, speed_m_s: float) -> float:
+        """The speed, metres a second, or the fastest that arm and limits allow, where that is less."""
+        return min(speed_m_s, self.info.max_speed_m_s)
+
     def pose(self) -> ToolPose:
         """Where the tool is now."""
         return self._arm.pose()
