@@ -22,8 +22,9 @@ from baggie.calibration.intrinsics.fit import (
     is_new,
     next_view,
 )
-from baggie.calibration.intrinsics.lens_bundle import DISTORTION, fit_lens, guessed_lens
+from baggie.calibration.intrinsics.lens_bundle import fit_lens
 from baggie.calibration.intrinsics.lens_terms import CANDIDATES, held_out_error
+from baggie.calibration.intrinsics.opencv_lens import DISTORTION, guessed_lens
 from baggie.calibration.intrinsics.picture import draw_coverage
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import rigid, transform_points
@@ -102,14 +103,14 @@ def test_any_lens_is_recovered_from_exact_corners(focal, center, k1, p, seed):
     matrix = np.array([[focal * 1280, 0, 640 + center * 1280], [0, focal * 1279, 360], [0, 0, 1]])
     lens = Intrinsics(*SIZE, matrix, np.array([k1, -k1 / 3, p, -p / 2, 0.0]))
     seen = [view.seen for view in views(7, 0, seed, lens)]
-    fit = fit_lens(seen, SIZE, DISTORTION, guessed_lens(SIZE))
+    fit = fit_lens(seen, SIZE, DISTORTION, guessed_lens(SIZE), BOARD.points)
     assert picture_error(fit.intrinsics, lens) < 1e-4
 
 
 def test_a_view_with_little_more_than_one_row_does_not_decide_about_the_lens():
-    good = views(18)
+    good = views(18, seed=300)
     cut = []
-    for view in views(3, seed=7):
+    for view in views(3, seed=10):
         row = np.isin(view.seen.ids, [0, 1, 2, 3, 4, 5, 6, 8])  # a whole row of six and two more
         seen = replace(
             view.seen, ids=view.seen.ids[row], pixels=view.seen.pixels[row], points=view.seen.points[row]
@@ -151,7 +152,9 @@ def test_no_fixed_choice_of_terms_does_clearly_better_on_new_views():
     for lens in (TRUE, replace(TRUE, distortion=np.array([-0.2, 0, 0, 0, 0]))):
         old, new = views(12, 0.2, 1, lens), [view.seen for view in views(25, 0.2, 2, lens)]
         seen = [view.seen for view in old]
-        fixed = [fit_lens(seen, SIZE, terms, guessed_lens(SIZE)).intrinsics for terms in CANDIDATES]
+        fixed = [
+            fit_lens(seen, SIZE, terms, guessed_lens(SIZE), BOARD.points).intrinsics for terms in CANDIDATES
+        ]
         ours = fit_intrinsics(old, CAMERA, BOARD).intrinsics
         errors = [np.mean([held_out_error(view, each) for view in new]) for each in (ours, *fixed)]
         assert errors[0] < 1.02 * min(errors[1:])
@@ -164,8 +167,11 @@ def test_no_fixed_choice_of_terms_does_clearly_better_on_new_views():
 def test_the_covariance_of_a_fit_is_that_of_many_fits():
     rng = np.random.default_rng(3)
     poses = [random_pose(BOARD, TRUE, rng) for _ in range(10)]
-    fits = [fit_lens([seen_at(p, rng, 0.2) for p in poses], SIZE, DISTORTION, TRUE) for _ in range(60)]
-    inverse = np.linalg.pinv(np.mean([fit.covariance for fit in fits], axis=0), rcond=1e-30)
+    fits = [
+        fit_lens([seen_at(p, rng, 0.2) for p in poses], SIZE, DISTORTION, TRUE, BOARD.points)
+        for _ in range(60)
+    ]
+    inverse = np.linalg.pinv(np.mean([fit.covariance[:9, :9] for fit in fits], axis=0), rcond=1e-30)
     errors = np.array([parameters(fit.intrinsics) - parameters(TRUE) for fit in fits])
     distances = np.einsum("ni,ij,nj->n", errors, inverse, errors)
     assert 0.85 < distances.mean() / 9 < 1.15

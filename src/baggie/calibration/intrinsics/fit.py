@@ -32,7 +32,8 @@ from baggie.calibration.intrinsics.lens_terms import ChosenLens, choose_lens
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.vision.picture_files import read_pictures
-from baggie.vision.targets import Seen, Target
+from baggie.vision.sag import FLAT, Sag
+from baggie.vision.targets import Seen, Target, with_sag
 
 __all__ = [
     "BoardView",
@@ -78,26 +79,28 @@ def calibrate_intrinsics_from(source: Path, target: Target, camera_name: str) ->
 def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: Target) -> CameraCalibration:
     """The lens that explains the views that agree, with its covariance and its error on views it has not seen.
 
-    Distortion is OpenCV's five terms, those that are not needed at zero. The covariance has the corners' scatter in
-    it, taken as independent from corner to corner, and the doubt about the choice of terms.
+    Distortion is OpenCV's five terms, those that are not needed at zero. The board need not be flat: its sag is found
+    along. The covariance has the corners' scatter in it, taken as independent from corner to corner, the doubt about
+    the sag, and that about the choice of terms.
 
     Raises `CalibrationError` where fewer than four views agree, all are alike, or the lens is not determined.
     """
+    board = with_sag(target, FLAT).points
     cleaned, lost = clean(views)
     _check_enough(cleaned, lost, len(views))
-    kept, dropped, rough = agreeing(cleaned, camera.size)
+    kept, dropped, rough = agreeing(cleaned, camera.size, board)
     lost += dropped
     _check_enough(kept, lost, len(views))
     seen = [view.seen for view in kept]
-    chosen = choose_lens(seen, camera.size, rough)
+    chosen = choose_lens(seen, camera.size, rough, board)
     fit = chosen.fit
-    errors = tuple(_view_error(view, pose, fit) for view, pose in zip(kept, fit.poses, strict=True))
+    errors = tuple(_view_error(view, pose, fit, board) for view, pose in zip(kept, fit.poses, strict=True))
     rms = _rms(np.concatenate([error.residuals_px for error in errors]))
     _check_trust(chosen, rms, seen, camera)
     return CameraCalibration(
         camera=camera,
         intrinsics=fit.intrinsics,
-        covariance=chosen.covariance,
+        covariance=chosen.covariance[:9, :9],
         terms=chosen.terms,
         rms_px=rms,
         held_out_rms_px=chosen.held_out_rms_px,
@@ -106,6 +109,8 @@ def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: T
         warnings=tuple(_warnings(chosen, rms, seen, camera)),
         target=target.spec,
         source=f"{len(views)} pictures",
+        sag=fit.sag,
+        sag_std=Sag(*np.sqrt(np.diag(chosen.covariance)[9:]).tolist()),
     )
 
 
@@ -123,8 +128,9 @@ def _check_enough(views: Sequence[BoardView], lost: Sequence[tuple[str, str]], g
         )
 
 
-def _view_error(view: BoardView, pose: np.ndarray, fit: LensFit) -> ViewError:
-    residuals = residuals_px(pose, view.seen.points, view.seen.pixels, fit.intrinsics)
+def _view_error(view: BoardView, pose: np.ndarray, fit: LensFit, board: np.ndarray) -> ViewError:
+    points = fit.sag.bend(view.seen.points, board)
+    residuals = residuals_px(pose, points, view.seen.pixels, fit.intrinsics)
     return ViewError(view.name, _rms(residuals), len(residuals), view.seen.pixels, residuals)
 
 
