@@ -54,6 +54,11 @@ class Target(Protocol):
         """`(N, 3)` metres: all its points in its own frame, in the order of their ids."""
         ...
 
+    @property
+    def sag(self) -> Sag:
+        """How it is bent: its points are where that puts them."""
+        ...
+
     def detect(self, image: Image) -> Seen | None:
         """Its points in a picture `(H, W, 3)`; None where too few are found."""
         ...
@@ -215,6 +220,11 @@ class Marker:
         """`(4, 3)` metres: its corners from the top left one clockwise; the origin is its middle."""
         half = self.size_m / 2
         return np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
+
+    @property
+    def sag(self) -> Sag:
+        """None: four corners say nothing of it."""
+        return FLAT
 
     def detect(self, image: Image) -> Seen | None:
         """Its four corners in a picture."""
