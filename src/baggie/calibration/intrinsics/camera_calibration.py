@@ -66,6 +66,8 @@ class CameraCalibration:
     """How the board is bent; None from the factory, and in files from before it was fitted."""
     sag_std: Sag | None = None
     """One standard deviation of it."""
+    corner_noise_px: float | None = None
+    """What of `rms_px` goes from corner to corner: how exactly they were found. None where that is not known."""
 
     def shaped(self, target: Target) -> Target:
         """A target as it is bent, where it is the board that this camera was calibrated with; else as it is."""
@@ -98,6 +100,7 @@ class CameraCalibration:
             "terms": list(self.terms),
             "rms_px": self.rms_px,
             "held_out_rms_px": self.held_out_rms_px,
+            "corner_noise_px": self.corner_noise_px,
             "standard_deviations": self.standard_deviations,
             "board_shape": self.board_shape,
             "views": [{"view": v.name, "rms_px": v.rms_px, "corners": v.corners} for v in self.views],
@@ -159,6 +162,7 @@ class CameraCalibration:
             warnings=tuple(map(str, content["warnings"])),
             target=str(content["board"]),
             source=str(content["source"]),
+            corner_noise_px=_number(content.get("corner_noise_px")),
             sag=Sag.from_yaml(content.get("sag")),
             sag_std=Sag.from_yaml(content.get("sag_std")),
         )

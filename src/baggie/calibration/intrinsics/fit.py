@@ -27,6 +27,7 @@ from baggie.calibration.intrinsics.board_views import (
     warnings_about,
 )
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, ViewError
+from baggie.calibration.intrinsics.corner_noise import corner_noise_px
 from baggie.calibration.intrinsics.lens_bundle import LensFit
 from baggie.calibration.intrinsics.lens_terms import ChosenLens, choose_lens
 from baggie.calibration.pose import residuals_px
@@ -47,6 +48,9 @@ __all__ = [
 _WORST_RMS = 0.003
 """Of the picture's longer side: worse, and it is no pinhole camera, no flat board, or another board."""
 _USUAL_RMS_PX = 1.0
+_SMOOTH, _LEAST_NOISE_PX = 10.0, 0.01
+"""Further off than so many times the corners' noise, a fit explains not what was seen. Sharp corners in pictures with
+two grey levels of noise are found to a hundredth of a pixel (docs/results/bowed-boards.md)."""
 _UNSURE, _USELESS = 0.01, 0.05
 """Standard deviation of the focal length, relative."""
 _SQUARE, _FAR_FROM_SQUARE = 0.03, 0.1
@@ -96,6 +100,7 @@ def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: T
     fit = chosen.fit
     errors = tuple(_view_error(view, pose, fit, board) for view, pose in zip(kept, fit.poses, strict=True))
     rms = _rms(np.concatenate([error.residuals_px for error in errors]))
+    noise = corner_noise_px(seen, [error.residuals_px for error in errors])
     _check_trust(chosen, rms, seen, camera)
     return CameraCalibration(
         camera=camera,
@@ -106,9 +111,10 @@ def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: T
         held_out_rms_px=chosen.held_out_rms_px,
         views=errors,
         dropped=tuple(lost),
-        warnings=tuple(_warnings(chosen, rms, seen, camera)),
+        warnings=tuple(_warnings(chosen, rms, noise, seen, camera)),
         target=target.spec,
         source=f"{len(views)} pictures",
+        corner_noise_px=noise,
         sag=fit.sag,
         sag_std=Sag(*np.sqrt(np.diag(chosen.covariance)[9:]).tolist()),
     )
@@ -166,7 +172,9 @@ def _check_trust(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: Cam
         )
 
 
-def _warnings(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: CameraIdentity) -> list[str]:
+def _warnings(
+    lens: ChosenLens, rms: float, noise: float | None, seen: Sequence[Seen], camera: CameraIdentity
+) -> list[str]:
     found = warnings_about(seen, lens.fit.poses, camera.size)
     unsure = _focal_uncertainty(lens)
     if unsure > _UNSURE:
@@ -181,5 +189,11 @@ def _warnings(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: Camera
         found.append(
             f"corners are {rms:.1f} pixels off (RMS), below {_USUAL_RMS_PX:.0f} is usual; is the board flat, are the "
             "pictures sharp?"
+        )
+    elif noise is not None and rms > _SMOOTH * max(noise, _LEAST_NOISE_PX):
+        found.append(
+            f"corners are {rms:.2f} pixels off (RMS), {rms / max(noise, _LEAST_NOISE_PX):.0f} times as far as they are "
+            f"found ({noise:.3f}), so something moves them together; is the board twisted or loose, are its sizes as "
+            "stated, did it or the camera move?"
         )
     return found
