@@ -29,6 +29,7 @@ nothing, and the board is then taken for flat, give or take the usual."""
 _ROUNDS = 20
 _POINT_M = 1e-9
 """A board with one row of corners is no longer across than this."""
+_DAMPING = 1e-4
 _SETTLED = 1e-10
 """Of the sum of squares: a step that saves less ends the fit."""
 
@@ -81,22 +82,26 @@ def fit_lens(
 
 
 def settle_lens(seen: Sequence[Seen], terms: Sequence[str], state: LensGuess, board: FloatArray) -> LensFit:
-    """The same from where it is nearly right, by Gauss and Newton's steps."""
+    """The same from where it is nearly right, by Levenberg and Marquardt's steps."""
     columns = np.array([True] * 4 + [term in terms for term in DISTORTION] + [True] * 2)
     spare = max(sum(2 * len(view.ids) - 6 for view in seen) - int(columns.sum()), 1)
     blocks = _eliminated(seen, state, board, columns)
+    damping = 0.0
     for _ in range(_ROUNDS):
         stiffness = _stiffness(board, _squares(blocks) / spare)
-        closer = _step(blocks, state, columns, stiffness)
+        closer = _step(blocks, state, columns, stiffness, damping)
         after = _eliminated(seen, closer, board, columns)
         before, now = (
             _squares(b) + float(((stiffness * s.sag_m) ** 2).sum())
             for b, s in ((blocks, state), (after, closer))
         )
-        if not now < before:  # nothing left to settle, or nearly singular
+        if now < before:
+            state, blocks, damping = closer, after, damping / 10
+        elif damping > 1:  # nothing left to settle, or nearly singular
             break
-        state, blocks = closer, after
-        if before - now < _SETTLED * before:
+        else:
+            damping = max(10 * damping, _DAMPING)
+        if abs(before - now) < _SETTLED * before:
             break
     variance = _squares(blocks) / spare
     inverse = _inverse_normal(blocks, columns, _stiffness(board, variance))
@@ -161,15 +166,20 @@ def _design(
 
 
 def _step(
-    blocks: Sequence[_Eliminated], state: LensGuess, columns: NDArray[np.bool_], stiffness: FloatArray
+    blocks: Sequence[_Eliminated],
+    state: LensGuess,
+    columns: NDArray[np.bool_],
+    stiffness: FloatArray,
+    damping: float,
 ) -> LensGuess:
-    """One Gauss-Newton step."""
+    """One step of Levenberg and Marquardt's; of Gauss and Newton's without damping."""
     design, scale = _design(blocks, columns, stiffness)
     target = np.concatenate(
         [*(block.without_pose(block.residuals) for block in blocks), -stiffness * state.sag_m]
     )
+    held = np.concatenate([design / scale, np.sqrt(damping) * np.eye(len(scale))])
     change = np.zeros(11)
-    change[columns] = np.linalg.lstsq(design / scale, target)[0] / scale
+    change[columns] = np.linalg.lstsq(held, np.concatenate([target, np.zeros(len(scale))]))[0] / scale
     matrix = state.intrinsics.matrix.copy()
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
     moved = []
