@@ -43,11 +43,11 @@ def render_board(
     u, v, columns, rows = _frame(T_camera_target, intrinsics, np.c_[edge, bow.depth(edge)])
     rays = _rays(width, height, intrinsics.matrix.tobytes(), intrinsics.distortion.tobytes())
     rays = rays[v : v + rows + 2, u : u + columns + 2]  # one more pixel on each side
-    fine = cv2.resize(rays, None, fx=SUBPIXELS, fy=SUBPIXELS, interpolation=cv2.INTER_LINEAR)
-    fine = fine[SUBPIXELS:-SUBPIXELS, SUBPIXELS:-SUBPIXELS]
-    places = (per_m * bow.where(T_camera_target, fine) + origin_px - 0.5).astype(np.float32)
+    places = per_m * bow.where(T_camera_target, rays) + origin_px - 0.5
+    fine = cv2.resize(places, None, fx=SUBPIXELS, fy=SUBPIXELS, interpolation=cv2.INTER_LINEAR)
+    fine = fine[SUBPIXELS:-SUBPIXELS, SUBPIXELS:-SUBPIXELS].astype(np.float32)
     border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": TABLE}
-    samples = cv2.remap(texture, places, None, cv2.INTER_LINEAR, **border)
+    samples = cv2.remap(texture, fine, None, cv2.INTER_LINEAR, **border)
     picture = np.full((height, width), TABLE, np.float64)
     picture[v : v + rows, u : u + columns] = samples.reshape(rows, SUBPIXELS, columns, SUBPIXELS).mean((1, 3))
     picture = cv2.GaussianBlur(picture, (0, 0), blur) if blur else picture
@@ -69,15 +69,17 @@ class _Bow:
 
     def where(self, T_camera_target: FloatArray, rays: FloatArray) -> FloatArray:
         """`(..., 2)`: the print's x and y where rays (x/z, y/z) meet it, the roots of a quadratic in their length."""
-        rotation, shift = T_camera_target[:3, :3], T_camera_target[:3, 3]
-        start = -rotation.T @ shift
-        along = rays.reshape(-1, 2) @ rotation[:2] + rotation[2]
-        from_middle, across = (start[:2] - self._middle) / self._half, along[:, :2] / self._half
-        a = across**2 @ self._sag
-        b = along[:, 2] + 2 * across @ (self._sag * from_middle)
-        c = start[2] - (1 - from_middle**2) @ self._sag
+        turn = T_camera_target[:3, :3]
+        start = -turn.T @ T_camera_target[:3, 3]
+        u, v = np.moveaxis(rays, -1, 0)
+        x, y, z = (u * turn[0, k] + v * turn[1, k] + turn[2, k] for k in range(3))
+        off = (start[:2] - self._middle) / self._half
+        (across_x, across_y), sag = (x / self._half[0], y / self._half[1]), self._sag
+        a = sag[0] * across_x**2 + sag[1] * across_y**2
+        b = z + 2 * (sag[0] * off[0] * across_x + sag[1] * off[1] * across_y)
+        c = start[2] - (1 - off**2) @ sag
         length = -2 * c / (b + np.sign(b) * np.sqrt(b**2 - 4 * a * c))  # the root that a flat print has, too
-        return (start[:2] + length[:, None] * along[:, :2]).reshape(rays.shape)
+        return np.stack([start[0] + length * x, start[1] + length * y], axis=-1)
 
 
 def random_pose(

@@ -6,7 +6,6 @@ marker, its middle), x runs right along the print, y down it, z into the paper. 
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -132,8 +131,8 @@ class Charuco:
             return None
         index = np.asarray(ids.ravel(), np.int64)
         pixels = np.asarray(corners, float).reshape(-1, 2)
-        # Around a corner there is nothing but squares as far as the markers' own corners.
-        clear = (self.square_m - self.marker_m) / 2 * math.sqrt(2) / self.square_m
+        # The window's own corner, too, must end before a marker's, which would draw it towards the board's middle.
+        clear = (self.square_m - self.marker_m) / 2 / self.square_m
         return Seen(index, refine_saddles(grey, pixels, _radius_px(pixels, clear)), self.points[index])
 
     def why_not(self, image: Image) -> str:
