@@ -105,6 +105,15 @@ def random_pose(
             return pose
 
 
+def lens_error_px(lens: Intrinsics, true: Intrinsics) -> float:
+    """Pixels (RMS) over the picture between two lenses, one turned to fit the other, as poses do."""
+    u, v = np.meshgrid(np.linspace(0, true.width - 1, 24), np.linspace(0, true.height - 1, 14))
+    pixels = np.stack([u, v], -1).reshape(-1, 2)
+    rays, others = (np.c_[each.rays(pixels), np.ones(len(pixels))] for each in (true, lens))
+    turn, _ = Rotation.align_vectors(*(r / np.linalg.norm(r, axis=1)[:, None] for r in (others, rays)))
+    return float(np.sqrt(((lens.project(turn.apply(rays)) - pixels) ** 2).sum(axis=1).mean()))
+
+
 def _square_m(target: Target) -> float:
     return target.size_m / 4 if isinstance(target, Marker) else target.square_m
 

@@ -31,7 +31,7 @@ from baggie.geometry import rigid, transform_points
 from baggie.types import Intrinsics
 from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, parse_target
-from board_pictures import random_pose, render_board
+from board_pictures import lens_error_px, random_pose, render_board
 
 BOARD = parse_target("charuco:7x5:0.030:0.021:DICT_4X4_50")
 SIZE = (1280, 720)
@@ -57,15 +57,6 @@ def views(count, noise=0.1, seed=0, lens=TRUE, tilt=0.6):
 
 def moved(view, pixels):
     return BoardView(view.name, replace(view.seen, pixels=pixels))
-
-
-def picture_error(lens, true):
-    """Pixels (RMS) over the picture between two lenses, one turned to fit the other, as poses do."""
-    u, v = np.meshgrid(np.linspace(0, SIZE[0] - 1, 24), np.linspace(0, SIZE[1] - 1, 14))
-    pixels = np.stack([u, v], -1).reshape(-1, 2)
-    rays, others = (np.c_[each.rays(pixels), np.ones(len(pixels))] for each in (true, lens))
-    turn, _ = Rotation.align_vectors(*(r / np.linalg.norm(r, axis=1)[:, None] for r in (others, rays)))
-    return float(np.sqrt(((lens.project(turn.apply(rays)) - pixels) ** 2).sum(axis=1).mean()))
 
 
 def holds(calibration, true):
@@ -104,7 +95,7 @@ def test_any_lens_is_recovered_from_exact_corners(focal, center, k1, p, seed):
     lens = Intrinsics(*SIZE, matrix, np.array([k1, -k1 / 3, p, -p / 2, 0.0]))
     seen = [view.seen for view in views(7, 0, seed, lens)]
     fit = fit_lens(seen, SIZE, DISTORTION, guessed_lens(SIZE), BOARD.points)
-    assert picture_error(fit.intrinsics, lens) < 1e-4
+    assert lens_error_px(fit.intrinsics, lens) < 1e-4
 
 
 def test_a_view_with_little_more_than_one_row_does_not_decide_about_the_lens():
@@ -119,7 +110,7 @@ def test_a_view_with_little_more_than_one_row_does_not_decide_about_the_lens():
     found = fit_intrinsics([*good, *cut], CAMERA, BOARD)
     without = fit_intrinsics(good, CAMERA, BOARD)
     assert found.terms == without.terms
-    assert picture_error(found.intrinsics, TRUE) < 2 * picture_error(without.intrinsics, TRUE)
+    assert lens_error_px(found.intrinsics, TRUE) < 2 * lens_error_px(without.intrinsics, TRUE)
 
 
 def test_the_size_of_the_board_plays_no_part(calibration):
@@ -222,7 +213,7 @@ def test_a_fifth_of_the_views_may_be_wrong(calibration):
     fit = fit_intrinsics(wrong + good[3:], CAMERA, BOARD)
     assert [name for name, _ in fit.dropped] == ["000.png", "001.png", "002.png"]
     assert all(why for _, why in fit.dropped)
-    assert picture_error(fit.intrinsics, TRUE) < 2 * picture_error(calibration.intrinsics, TRUE)
+    assert lens_error_px(fit.intrinsics, TRUE) < 2 * lens_error_px(calibration.intrinsics, TRUE)
 
 
 def test_single_wrong_corners_cost_no_view(calibration):
@@ -235,7 +226,7 @@ def test_single_wrong_corners_cost_no_view(calibration):
     fit = fit_intrinsics(spoiled, CAMERA, BOARD)
     assert not fit.dropped
     assert [view.corners for view in fit.views] == [22] * 14
-    assert picture_error(fit.intrinsics, TRUE) < 2 * picture_error(calibration.intrinsics, TRUE)
+    assert lens_error_px(fit.intrinsics, TRUE) < 2 * lens_error_px(calibration.intrinsics, TRUE)
 
 
 def test_a_mirrored_view_is_dropped():
