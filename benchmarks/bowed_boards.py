@@ -150,16 +150,16 @@ def main(options: Options) -> None:
 
 SHAPES_NOTES = (
     "A chessboard of 10 x 7 corners, 25 mm apart, its middle 1 mm out of the plane (both ways: 1 and 0.5 mm), "
-    f"{PICTURES[LARGE]} pictures of 1280 x 720 with blur and two grey levels of noise, a focal length of 810 to 990 px. "
-    "`px`: RMS over a grid of the whole picture, a rotation taken out; mean over the cameras and, in brackets, the worst. "
-    "All have the same corners and, but for ours, which chooses its terms, five distortion terms."
+    f"{PICTURES[LARGE]} pictures of 1280 x 720 with blur and two grey levels of noise, a focal length of 810 to "
+    "990 px. `px`: RMS over a grid of the whole picture, a rotation taken out; mean over the cameras and, in "
+    "brackets, the worst. All have the same corners and, but for ours, which chooses its terms, five distortion terms."
 )
 STATED_NOTES = (
     f"{PICTURES[SMALL]} pictures of 640 x 480 each, the four shapes in turn. `in 95%`: how often the true lens lies in "
     "the region that is to hold it with 95% probability. `f off`: the focal length's error over its stated standard "
-    "deviation, RMS; 1 is honest. `corners`: how far they are off the truth, RMS, and `noise` as the calibration has it "
-    "from its pictures. The second line is of corners as `cv2.findChessboardCornersSB` leaves them: they err together, "
-    "over whole boards, and a covariance of corners that err each by itself says too little."
+    "deviation, RMS; 1 is honest. `corners`: how far they are off the truth, RMS, and `noise` as the calibration has "
+    "it from its pictures. The second line is of corners as `cv2.findChessboardCornersSB` leaves them: they err "
+    "together, over whole boards, and a covariance of corners that err each by itself says too little."
 )
 
 
