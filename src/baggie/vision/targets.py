@@ -325,7 +325,7 @@ def _radius_px(corners: FloatArray, squares: float) -> int:
     """How far around a board's corners `(N, 2)` to look, pixels: so many squares' sides."""
     apart = np.linalg.norm(corners[:, None] - corners, axis=2)
     np.fill_diagonal(apart, np.inf)
-    side = float(np.median(apart.min(axis=1)))
+    side = float(np.quantile(apart.min(axis=1), 0.1))  # those far away or seen from the side are the smallest
     return int(np.clip(squares * side, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
 
 
