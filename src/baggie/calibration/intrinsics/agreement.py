@@ -81,10 +81,8 @@ def agreeing(
         if len(kept) < MIN_VIEWS or all(map(np.array_equal, before, [*masks, good])):
             break
         fit = fit_lens(kept, size, DISTORTION, lens, board)
-        lens, bent = (
-            fit.intrinsics,
-            [replace(view, points=fit.sag.bend(view.points, board)) for view in seen],
-        )
+        lens = fit.intrinsics
+        bent = [replace(view, points=fit.sag.bend(view.points, board)) for view in seen]
     names = [view.name for view, agrees in zip(views, good, strict=True) if agrees]
     dropped = [
         (views[i].name, _why(masks[i], float(errors[i]), float(np.median(errors))))

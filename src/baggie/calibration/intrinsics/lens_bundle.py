@@ -23,8 +23,8 @@ from baggie.vision.targets import Seen
 USUAL_SAG = 1 / 500
 """Of a board's length: the prior's standard deviation of its sag that way, 0.45 mm on 225 mm.
 
-Other labs' boards, glued to something flat, sag by half of that, and one that sags by twice as much looks bent. Twenty
-pictures know the sag to a fiftieth of it, so that it counts where they do not tell: from the front a sag looks like
+A board in use, taken for flat, was found to sag by half of that, and one that sags by twice as much looks bent. Twenty
+pictures tell the sag to a hundredth of it, so it counts only where they do not: from the front and afar a sag looks like
 nothing, and the board is then taken for flat, give or take the usual."""
 _ROUNDS = 20
 _POINT_M = 1e-9
