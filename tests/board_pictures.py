@@ -78,7 +78,8 @@ class _Bow:
         a = sag[0] * across_x**2 + sag[1] * across_y**2
         b = z + 2 * (sag[0] * off[0] * across_x + sag[1] * off[1] * across_y)
         c = start[2] - (1 - off**2) @ sag
-        length = -2 * c / (b + np.sign(b) * np.sqrt(b**2 - 4 * a * c))  # the root that a flat print has, too
+        root = np.sqrt(np.maximum(b**2 - 4 * a * c, 0))  # below zero a ray passes by, beside the print
+        length = -2 * c / (b + np.sign(b) * root)  # the nearer one, which a flat print has, too
         return np.stack([start[0] + length * x, start[1] + length * y], axis=-1)
 
 

@@ -24,7 +24,7 @@ USUAL_SAG = 1 / 500
 """Of a board's length: the prior's standard deviation of its sag that way, 0.45 mm on 225 mm.
 
 A board in use, taken for flat, was found to sag by half of that, and one that sags by twice as much looks bent. Twenty
-pictures tell the sag to a hundredth of it, so it counts only where they do not: from the front and afar a sag looks like
+pictures tell the sag to a hundredth of it, so it counts only where they do not: from the front and afar a sag shows in
 nothing, and the board is then taken for flat, give or take the usual."""
 _ROUNDS = 20
 _POINT_M = 1e-9
