@@ -93,9 +93,16 @@ class Task:
 
     @property
     def lens(self) -> Intrinsics:
-        """The true one, drawn from the seed."""
-        width, height, focal = self.size
+        """The true one, drawn from the seed until its whole picture is seen by rays."""
         rng = np.random.default_rng([11, self.seed])
+        while True:
+            lens = self._drawn(rng)
+            corners = np.array([[u, v] for u in (0.0, lens.width - 1) for v in (0.0, lens.height - 1)])
+            if np.allclose(lens.project(np.c_[lens.rays(corners), np.ones(4)]), corners, atol=1e-3):
+                return lens
+
+    def _drawn(self, rng: np.random.Generator) -> Intrinsics:
+        width, height, focal = self.size
         fx, fy = focal * rng.uniform(0.9, 1.1) * np.array([1.0, rng.uniform(0.998, 1.002)])
         cx, cy = np.array([width, height]) / 2 + rng.uniform(-0.015, 0.015, 2) * width
         k1, k2 = rng.uniform(-0.2, 0.1), rng.uniform(-0.05, 0.07)

@@ -178,10 +178,7 @@ class Chessboard:
             if min(board.columns, board.rows) < 2:
                 continue
             size = (board.columns, board.rows)
-            # Twice as large only where it is not found: how exactly is no matter, saddle points are looked for anyway.
-            found, corners = cv2.findChessboardCornersSB(grey, size)
-            if not found:
-                found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_ACCURACY)
+            found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_ACCURACY)
             if not found:
                 quick = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
                 found, corners = cv2.findChessboardCorners(grey, size, flags=quick)

@@ -69,7 +69,7 @@ def agreeing(
     lens, bent = _near_most(seen, size), list(seen)
     masks = [np.ones(len(view.ids), np.bool_) for view in seen]
     good = np.ones(len(seen), np.bool_)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         distances = [_distances(view, mask, lens) for view, mask in zip(bent, masks, strict=True)]
         before = [*masks, good]
         masks = _inliers(distances)
@@ -78,7 +78,8 @@ def agreeing(
         enough = np.array([mask.sum() >= max(MIN_CORNERS, 0.5 * len(mask)) for mask in masks])
         good = enough & (errors <= limit)
         kept = [subset(view, mask) for view, mask, agrees in zip(seen, masks, good, strict=True) if agrees]
-        if len(kept) < MIN_VIEWS or all(map(np.array_equal, before, [*masks, good])):
+        # The first lens is rough and its board flat: beside that, nothing may stand out.
+        if len(kept) < MIN_VIEWS or (number and all(map(np.array_equal, before, [*masks, good]))):
             break
         fit = fit_lens(kept, size, DISTORTION, lens, board)
         lens = fit.intrinsics
