@@ -121,6 +121,16 @@ def test_words_are_in_millimetres():
     assert str(Sag(-3e-4, 1e-4)) == "0.3 mm along, 0.1 mm across"
 
 
+def test_wrong_corners_do_not_hide_behind_the_sag():
+    """As far off as those of a board like this are by a lens that takes it for flat."""
+    spoiled = views(SHAPES[1].bend(BOARD.points, BOARD.points))
+    pixels = spoiled[3].seen.pixels
+    pixels[[6, 8, 9, 17, 18, 19]] += [1.2, -1.0]
+    found = fit_intrinsics(spoiled, CAMERA, BOARD)
+    assert [view.corners for view in found.views] == [70] * 3 + [64] + [70] * 8
+    assert lens_error_px(found.intrinsics, TRUE) < 0.1
+
+
 def test_exact_corners_give_the_exact_sag():
     sag = Sag(6e-3, -1e-3)
     found = fit_intrinsics(views(sag.bend(BOARD.points, BOARD.points), 8, 0.0), CAMERA, BOARD)
