@@ -54,6 +54,7 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	$(BIN)/python benchmarks/faults.py --moments 20
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
+	$(BIN)/python benchmarks/bowed_boards.py --out runs/bowed-boards
 
 lerobot: $(STAMP) ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot

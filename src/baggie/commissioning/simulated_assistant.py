@@ -148,4 +148,5 @@ def lying(target: Target, pose: PlanarPose) -> FloatArray:
     """`T_base_target` `(4, 4)` of a target flat on the table, face up, the middle of its points at `pose`."""
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-    return rigid(rotation, np.array([pose.x, pose.y, 0.0]) - rotation @ target.points.mean(axis=0))
+    middle = target.points.mean(axis=0) * [1.0, 1.0, 0.0]  # however it sags, its corners are on the table
+    return rigid(rotation, np.array([pose.x, pose.y, 0.0]) - rotation @ middle)
