@@ -45,13 +45,16 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	$(BIN)/python benchmarks/pyramid_media.py
 	for benchmark in decision train_step transporter block_demonstrations demonstration_style rehearsal rehearsal_media landing; do \
 	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
+	$(BIN)/python benchmarks/handling_media.py
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
+	$(BIN)/python benchmarks/foreign_cell.py
 	$(BIN)/python benchmarks/media.py --cell 15 --policy runs/policies/cell-15/keypoint
 	$(BIN)/python benchmarks/learned_map.py --policy runs/policies/cell-15/keypoint --data runs/recordings/cell-15
 	$(BIN)/python benchmarks/faults.py --moments 20
 	$(BIN)/python benchmarks/calibration.py --out runs/calibration
 	$(BIN)/python benchmarks/calibration_media.py --out runs/calibration-media
+	$(BIN)/python benchmarks/bowed_boards.py --out runs/bowed-boards
 
 lerobot: $(STAMP) ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot
@@ -60,7 +63,7 @@ lerobot: $(STAMP) ## check with LeRobot's own tools, in an environment of its ow
 	PYTHONPATH=src .venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot
 
 clean: ## remove what was built, and the environment
-	rm -rf $(VENV) .venv-lerobot build demo .pytest_cache .ruff_cache .mypy_cache .hypothesis src/*.egg-info
+	rm -rf $(VENV) .venv-lerobot .venv-pybullet build demo .pytest_cache .ruff_cache .mypy_cache .hypothesis src/*.egg-info
 
 $(STAMP): constraints.txt pyproject.toml | machine
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -24,6 +24,7 @@ from baggie.evaluation.results import provenance, write_results
 from baggie.geometry import Rectangle
 from baggie.policies.keypoint import KeypointPolicy
 from baggie.policies.learned_map import as_calibration
+from baggie.sim.bag import FULL_HEIGHT_M
 from baggie.sim.cell import draw_cell
 from baggie.vision.picture_files import read_picture
 
@@ -44,7 +45,7 @@ def main(options: Options) -> None:
     """Compare and write."""
     policy = baggie.load_policy(options.policy)
     assert isinstance(policy, KeypointPolicy)
-    learned = as_calibration(policy)
+    learned = as_calibration(policy, FULL_HEIGHT_M / 2)
     fitted = ImageToRobot.load(options.data / CALIBRATION_FOLDER / MAP_FILE)
     cell = draw_cell(policy.cell)
     rows = []

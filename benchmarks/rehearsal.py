@@ -134,7 +134,7 @@ def calibrate(file: Path, control: LabControl) -> str:
 def doctor(file: Path, control: LabControl) -> str:
     """Everything it checks, moving included."""
     control.lay_bag(_AWAY)
-    findings = answer(f"doctor {file} --move yes")["findings"]
+    findings = answer(f"doctor {file} --move yes --lab {control.address}")["findings"]
     return f"{sum(finding['verdict'] == 'ok' for finding in findings)} of {len(findings)} checks ok"
 
 

@@ -40,6 +40,8 @@ class ImaginaryRobot:
     table_z: float = 0.0
     thing_m: float = 0.0
     """So wide is what is between its fingers."""
+    hand_n: float = 7.0
+    """So heavy is its hand, which its sensor feels as well."""
 
     def send(self, tool: ToolPose) -> None:
         """Go there, at once."""
@@ -50,7 +52,8 @@ class ImaginaryRobot:
 
     @property
     def upward_force_n(self) -> float:
-        return 50.0 if self.tool.z <= self.table_z else 0.0
+        """What pushes the hand up is positive; its own weight pulls it down."""
+        return (50.0 if self.tool.z <= self.table_z else 0.0) - self.hand_n
 
 
 class OwnArm:
@@ -76,7 +79,8 @@ class OwnArm:
         if start.z > z_min:
             target = replace(start, z=z_min)
             self._check_reach(target)
-            self._go(target, speed_m_s, until=lambda: self._robot.upward_force_n > force_n)
+            tare = self._robot.upward_force_n  # of the hand, and of what it holds
+            self._go(target, speed_m_s, until=lambda: self._robot.upward_force_n - tare > force_n)
         return self.pose()
 
     def move_gripper(self, width_m: float) -> float:
@@ -130,5 +134,5 @@ def open_arm(reach_m: float = 0.85) -> OwnArm:
 
 
 if __name__ == "__main__":
-    check_arm(GuardedArm(open_arm(), WorkcellSettings().limits))
-    print("the arm keeps the contract")
+    found = check_arm(GuardedArm(open_arm(), WorkcellSettings().limits))
+    print("the arm keeps the contract", *found, sep="\n")

@@ -95,12 +95,11 @@ ANSWERS: Mapping[str, tuple[str, ...]] = {
         "no",  # real-time kernel
         "opencv",
         "http://{lab}/camera.mjpg",
-        "",
-        "",
-        "",
+        *("", ""),  # the workspace
+        *("", "", ""),  # the bag's sides and height, and that it is soft
         "{color}",
     ),
-    "baggie doctor": ("y",),
+    "baggie doctor": ("y", "", "", ""),  # nobody lays or holds anything
     "baggie calibrate image-to-robot": ("", ""),
 }
 """What somebody types at the prompts of a command; Enter alone is empty."""

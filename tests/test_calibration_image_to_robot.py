@@ -458,7 +458,7 @@ def test_an_untrained_map_is_no_calibration():
     size = (640, 360)
     policy = KeypointPolicy(KeypointNet(8), View(size, 100, 50, 500, 300, (160, 96)), cell=0)
     with pytest.raises(CalibrationError):
-        as_calibration(policy)
+        as_calibration(policy, 0.015)
 
 
 # the collector's

@@ -1,5 +1,7 @@
 import itertools
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect import machine
+from baggie.collect import detect, machine
 from baggie.collect.machine import MAX_LOOKS, MAX_RESCUES, MAX_TRIES, State, Stopped, Turn, run_turn
 from baggie.collect.places import (
     MARGIN_M,
@@ -25,7 +27,7 @@ from baggie.commissioning.points import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.processes import nobody
-from baggie.types import Outcome
+from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeCell
 
@@ -94,8 +96,8 @@ def test_a_workspace_too_small_is_refused():
 def test_the_gripper_follows_the_bag_except_for_a_first_reading_of_45_degrees(yaw):
     doubted = abs(yaw) > math.radians(38.001)
     assert false_45(yaw) or not doubted
-    assert grip_yaw(yaw, doubted_before=True) == yaw
-    assert grip_yaw(yaw, doubted_before=False) == (0.0 if false_45(yaw) else yaw)
+    assert grip_yaw(yaw, believed=True) == yaw
+    assert grip_yaw(yaw, believed=False) == (0.0 if false_45(yaw) else yaw)
 
 
 @given(st.floats(-math.pi / 2, math.pi / 2), st.integers(0, 10**6))
@@ -160,6 +162,35 @@ def test_plan_doubts_45_degrees_once(turn):
     assert abs(turn.action.pick.yaw) > math.radians(38)
 
 
+@pytest.mark.parametrize("doubted_before", [False, True])
+@pytest.mark.parametrize("degrees", [45, 0])
+def test_after_a_miss_the_other_reading_of_45_degrees_is_tried(
+    turn: Turn, monkeypatch: pytest.MonkeyPatch, degrees: int, doubted_before: bool
+) -> None:
+    """A hard square goes into a hand that lies along its sides alone, however its outline is read."""
+    turn.cell.bag = PlanarPose(0.5, 0.0, math.radians(degrees))
+    turn.doubted_before = doubted_before
+    carry, tried = turn.cell.execute, []
+
+    def execute(action: PickPlace) -> Outcome:
+        tried.append(action)
+        off = math.remainder(action.pick.yaw - turn.cell.bag.yaw, math.pi / 2)
+        return carry(action) if abs(off) < math.radians(10) else Outcome(action, failure="missed-grasp")
+
+    monkeypatch.setattr(turn.cell, "execute", execute)
+    read = detect.detect
+
+    def as_if_at_45(*args: Any) -> Any:
+        found, pose = read(*args)
+        return found, replace(pose, yaw=math.pi / 4)
+
+    monkeypatch.setattr(machine, "detect", as_if_at_45)
+    run_turn(turn)
+    assert turn.tries == (1 if doubted_before == (degrees == 45) else 2)
+    assert turn.outcome is not None
+    assert turn.outcome.failure != "missed-grasp"
+
+
 @pytest.mark.parametrize("degrees", range(-90, 90, 15))
 def test_plan_grips_a_long_bag_across_its_narrow_side_at_any_angle(long_turn, degrees):
     long_turn.cell.bag = PlanarPose(0.52, -0.13, math.radians(degrees))
@@ -176,6 +207,15 @@ def test_plan_grips_a_bag_just_outside_by_its_near_side(turn):
     turn.cell.bag = PlanarPose(limits.x_max + 0.02, 0.0)
     assert machine.plan(seen(turn)) is State.MOVE
     assert turn.action.pick.x == limits.x_max
+
+
+def test_plan_grips_what_is_hard_by_its_middle_or_not_at_all(turn: Turn) -> None:
+    limits = turn.cell.settings.limits.workspace
+    turn.cell.settings = replace(turn.cell.settings, object_hard=True)
+    turn.cell.bag = PlanarPose(limits.x_max - 0.02, 0.0)
+    assert machine.plan(seen(turn)) is State.MOVE
+    turn.cell.bag = PlanarPose(limits.x_max + 0.02, 0.0)
+    assert machine.plan(seen(turn)) is State.ASK
 
 
 def test_plan_asks_for_a_bag_out_of_reach(turn):
@@ -377,6 +417,16 @@ def test_a_frozen_camera_stalls(cell, image_to_robot):
     assert next(sitting).outcome.failure == "stalled"
     with pytest.raises(Stopped, match="camera is live"):
         next(sitting)
+
+
+def test_where_the_arm_does_not_get_there_again_and_again_its_own_words_are_passed_on(cell, image_to_robot):
+    cell.helps = False
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
+    cell.script = ["unreachable"] * MAX_TRIES * STALL_AFTER
+    with pytest.raises(
+        Stopped, match=r"in a row failed.*unreachable: the arm did not get there \(.+\): put the"
+    ):
+        list(sitting)
 
 
 def test_many_failures_in_a_row_stop_it_where_only_the_cell_helps_once(cell, image_to_robot):

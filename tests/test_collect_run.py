@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
 from baggie.collect.help import Help
+from baggie.collect.opening import what_opens
 from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.collect.summary import coverage
@@ -120,6 +122,44 @@ def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path, here)
     assert go_on(bag, 3) == 3
 
 
+def test_a_recording_says_which_arm_moved(reference, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    assert open_dataset(reference).settings.robot_type == "fake"
+    shutil.copy(Path(__file__).parents[1] / "examples" / "own_arm.py", tmp_path / "recorded_arm.py")
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: {kind: python, factory: 'recorded_arm:open_arm'}\ncamera: 0\n")
+    _, robot, _ = what_opens(CollectOptions(out=tmp_path / "data", workcell=file))
+    assert robot == "imaginary arm"
+    file.write_text("arm: {kind: franka, host: 192.0.2.1}\ncamera: 0\n")
+    assert what_opens(CollectOptions(out=tmp_path / "data", workcell=file))[1] == "FR3"
+
+
+@pytest.mark.parametrize(
+    ("before", "goes_on"), [("python", True), ("lerobot", True), ("simulated FR3", False)]
+)
+def test_an_older_recording_that_did_not_say_which_goes_on(tmp_path, here, before, goes_on):
+    options = CollectOptions(out=tmp_path, attempts=1, workers=1)
+    collect(options, open_fake)
+    settings = tmp_path / "attempts/collection.json"
+    settings.write_text(settings.read_text().replace('"fake"', f'"{before}"'))
+    if goes_on:
+        assert collect(options, open_fake)["attempts"] == 1
+    else:
+        with pytest.raises(DataError, match="robot_type = 'simulated FR3', not 'fake'"):
+            collect(options, open_fake)
+
+
+def test_a_bag_of_the_usual_height_is_recorded_as_ever(tmp_path, here):
+    file, out = tmp_path / "cell.yaml", tmp_path / "data"
+    table = []
+    for bag in ("", "bag: {height_m: 0.03, hard: false}\n", "bag: {height_m: 0.05, hard: true}\n"):
+        file.write_text(f"arm: {{kind: franka, host: 192.0.2.1}}\ncamera: 0\n{bag}")
+        table.append(what_opens(CollectOptions(out=out, workcell=file))[2]["workcell"]["bag"])
+    assert set(table[0]) == {"length_m", "width_m", "mass_kg", "color"}
+    assert table[1] == table[0]
+    assert (table[2]["height_m"], table[2]["hard"]) == (0.05, True)
+
+
 def test_a_workspace_out_of_reach_is_one_clear_line(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("workspace: {x: [3.5, 4.5]}\n")
@@ -164,6 +204,7 @@ def test_without_a_reference_nothing_is_watched(reference):
 CHILD = """
 import sys
 from pathlib import Path
+from baggie.collect.opening import what_opens
 from baggie.collect import CollectOptions, collect
 from fake_workcell import open_slowly
 if __name__ == "__main__":

@@ -35,8 +35,10 @@ from baggie.types import Intrinsics
 from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.config import open_workcell
+from baggie.workcell.limits import GuardedArm
 from board_pictures import random_pose, render_board
 from fake_workcell import FakeArm, FakeCell
+from recording_arm import RecordingArm
 
 CELL = 3
 
@@ -264,6 +266,17 @@ def test_the_marker_is_brought_to_where_it_is_wanted() -> None:
     cell.arm = FakeArm()
     for number, hand, _ in visit(cell.arm, cell.camera, positions, in_hand):
         np.testing.assert_allclose(transform_points(hand, in_hand[None])[0], positions[number], atol=1e-12)
+
+
+def test_the_marker_is_brought_everywhere_by_a_slow_arm_and_in_a_slow_cell() -> None:
+    cell, in_hand = FakeCell(), np.zeros(3)
+    positions = grid(cell.settings.workspace, 0.05, (0.05, 0.15), columns=2, rows=2)
+    slow = RecordingArm()
+    slow.info = replace(slow.info, max_speed_m_s=0.1)
+    for arm, fastest in ((slow, 0.1), (RecordingArm(), 0.2)):
+        gate = GuardedArm(arm, replace(cell.settings.limits, max_speed_m_s=0.2))
+        assert len(list(visit(gate, cell.camera, positions, in_hand))) == len(positions)
+        assert set(arm.speeds) == {fastest}
 
 
 @pytest.mark.parametrize(

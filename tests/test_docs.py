@@ -19,6 +19,7 @@ import pytest
 import yaml
 
 from baggie import cli, cli_calibrate, cli_workcell
+from baggie.workcell.bag_entry import Bag, HandlingEntry
 from baggie.workcell.workcell_file import read_workcell_file
 from docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
 from docs_stand_ins import GIVEN, taken_for_granted
@@ -220,3 +221,9 @@ def test_workcell_files_are_read(block: Block, tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump(arm | content))
     read_workcell_file(path)
+
+
+def test_every_entry_of_handling_is_explained() -> None:
+    page = (ROOT / "docs" / "handling.md").read_text()
+    for entry in (*HandlingEntry.model_fields, *Bag.model_fields):
+        assert re.search(rf"^\| [^|]*`{entry}`[^|]*\| \S", page, re.M), entry

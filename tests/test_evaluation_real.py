@@ -1,16 +1,19 @@
 """The closed loop where nobody knows the truth: the camera says where the bag ends."""
 
 import functools
+import math
 import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
-from baggie.errors import BaggieError
+from baggie.collect.detect import at_outline, detect
+from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import bag_place as closed_loop_of_bags
 from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
@@ -20,9 +23,12 @@ from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.seen_bench import open_bench
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.geometry import PlanarPose
-from baggie.policies import ColorMaskPolicy
+from baggie.policies import ColorMaskPolicy, KeypointPolicy
+from baggie.policies.keypoint_net import KeypointNet
+from baggie.policies.view import View
 from baggie.types import Outcome
 from baggie.workcell.calibrations import Calibrations
+from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeCell
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
 
@@ -84,6 +90,57 @@ def test_what_is_seen_is_where_it_is(cell):
     for seed in range(5):
         cell.lay_anew(seed)
         assert seen.find(seen.look()).distance(cell.bag) < 0.004
+
+
+CUBE_M = 0.065
+
+
+@pytest.fixture
+def cube():
+    """What is as high as it is wide, and a map that was made for something flat."""
+    cell = RealFake(WorkcellSettings(object_size_m=(CUBE_M, CUBE_M, CUBE_M)), size=(1280, 720))
+    return calibrated(cell)
+
+
+def off_mm(cell, settings):
+    """The mean distance, millimetres, between where a thing is and where it is found by these settings."""
+    to_robot, found = at_outline(cell.calibrations.image_to_robot, settings), []
+    for seed in range(8):
+        cell.lay_anew(seed)
+        _, pose = detect(cell.look(), to_robot, settings)
+        found.append(1000 * pose.distance(cell.bag))
+    return sum(found) / len(found)
+
+
+def test_a_high_thing_is_found_where_it_is_once_its_height_is_written_down(cube):
+    flat = replace(cube.settings, object_size_m=(CUBE_M, CUBE_M, 0.03))
+    assert off_mm(cube, cube.settings) < 2
+    assert off_mm(cube, flat) > 4
+    assert SeenCell(cube, FILE).image_to_robot.height_m == CUBE_M / 2
+
+
+def test_a_high_thing_is_judged_where_it_is(cube, tmp_path):
+    metrics = evaluate(options(tmp_path), functools.partial(bench, cube))
+    assert metrics["success"]["rate"] == 1.0
+    for episode in read_log(tmp_path / "episodes.jsonl", Episode):
+        assert math.dist(episode.goal[:2], episode.final[:2]) < 0.02
+
+
+def test_a_map_of_another_height_says_what_it_costs(cube):
+    one_height = replace(cube.calibrations.image_to_robot, projection=np.eye(3), height_m=0.0)
+    with pytest.warns(BaggieWarning, match=r"right 0 m above the table only, the middle .* 0\.0325 m up"):
+        assert at_outline(one_height, cube.settings) is one_height
+
+
+def test_the_marker_passes_over_a_high_thing(cube, monkeypatch):
+    heights = []
+    monkeypatch.setattr(cube, "settings", replace(cube.settings, object_size_m=(0.1, 0.1, 0.12)))
+    monkeypatch.setattr(
+        cube.arm, "move_to", lambda to, speed: heights.append(to.z) or setattr(cube.arm, "tool", to) or to
+    )
+    cube.calibrations = Calibrations()
+    calibrate(cube, 0)
+    assert min(heights) >= 0.12 + 0.03
 
 
 def test_what_was_seen_belongs_to_its_picture_and_asking_for_it_moves_nothing(cell):
@@ -164,6 +221,13 @@ def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_ca
     assert says(text) != first
 
 
+def test_metrics_say_which_arm_moved(cell, tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: {kind: franka, host: 10.0.0.2, model: panda}\ncamera: 0\n")
+    asked = replace(options(tmp_path / "out"), episodes=1, workcell=file)
+    assert evaluate(asked, functools.partial(bench, cell))["robot"] == "Panda"
+
+
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
     cell.script = [None, "lost-bag"]
     with pytest.raises(BaggieError, match="bring it back into view") as raised:
@@ -199,6 +263,20 @@ def test_without_a_map_nobody_can_measure():
 def test_what_a_real_cell_cannot_do_is_refused(tmp_path, asked, said):
     with pytest.raises(BaggieError, match=said):
         replace(options(tmp_path), **asked).check()
+
+
+def test_a_policy_of_another_camera_is_refused_before_the_first_episode(tmp_path, monkeypatch):
+    network = KeypointNet(8, 4, "small")
+    view = View((640, 360), 0, 0, 640, 360, (160, 88))
+    KeypointPolicy(network, view, 0).save_pretrained(tmp_path / "run")
+    opened = calibrated(RealFake(size=(640, 480)))
+    monkeypatch.setattr("baggie.evaluation.seen_bench.open_workcell", lambda _: opened)
+    monkeypatch.setattr("baggie.evaluation.seen_bench.RealWorkcell", RealFake)
+    asked = replace(options(tmp_path / "out"), policy=str(tmp_path / "run"))
+    with pytest.raises(
+        BaggieError, match="trained on pictures of 640 x 360 pixels, but got one of 640 x 480"
+    ):
+        open_bench(asked)
 
 
 def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):

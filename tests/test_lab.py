@@ -28,6 +28,7 @@ import baggie
 import baggie.lab.robot as robot_module
 from baggie.collect import CollectOptions, collect
 from baggie.commissioning.check import CheckOptions, check_calibration
+from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError, StuckError
 from baggie.geometry import PlanarPose, ToolPose
@@ -123,6 +124,18 @@ def test_its_camera_keeps_the_contract_of_cameras_and_shows_the_scene_now(
         assert found is not None
         centers.append(found.center)
     assert np.abs(np.diff(centers, axis=0)).max(axis=1) == pytest.approx([120, 240], rel=0.5)
+
+
+def test_a_block_is_laid_where_nothing_lies_and_taken_away(cell: Workcell, control: LabControl) -> None:
+    control.lay_block(PlanarPose(0.5, 0.2), 0.04)
+    assert control.truth()["block"] == {"height": 0.04, "pressed_n": 0.0}
+    with pytest.raises(BaggieError, match="got one on it; take the block away first"):
+        control.lay_bag(PlanarPose(0.5, 0.1))
+    control.take_block_away()
+    control.lay_bag(PlanarPose(0.5, 0.1))
+    control.lay_block(PlanarPose(0.5, -0.1), 0.2)
+    control.reset(0)
+    assert control.truth()["block"]["height"] == 0
 
 
 @pytest.mark.slow
@@ -295,6 +308,10 @@ def test_what_is_no_fault_is_refused_in_one_line(control: LabControl) -> None:
         *(f"reset?seed={wrong}" for wrong in ("nan", "-1", "1e400", "1.5", "9" * 5000, "")),
         *(f"paddle?shown={wrong}" for wrong in ("nan", "2", "-1", "yes")),
         "paddle",
+        *(f"block?x=0.5&y=0.2&height={wrong}" for wrong in ("nan", "-0.01", "0.21", "high")),
+        *(f"block?x={wrong}&y=0.2&height=0.04" for wrong in ("nan", "2.5")),
+        "block?x=0.52&y=0.05&height=0.04",  # on the bag
+        "block",
         *(f"fault?name=refuse&after={wrong}" for wrong in ("nan", "-1", "inf", "1e9")),
         *(f"fault?name=drop-packets&seconds={wrong}" for wrong in ("nan", "-1", "1e400", "1e300")),
     ],
@@ -329,6 +346,18 @@ def test_what_is_asked_as_a_form_is_done_too(cell: Workcell, control: LabControl
             ask("reset", form)
         assert json.load(refused.value)["error"].startswith("expected")
     assert control.truth()["seed"] == 7
+
+
+@pytest.mark.slow
+def test_the_doctor_has_the_lab_lay_a_firm_block_and_hold_the_paddle(
+    file: Path, cell: Workcell, control: LabControl
+) -> None:
+    cell.close()
+    findings = examine(DoctorOptions(str(file), move="yes", lab=control.address))
+    found = {finding.check: finding for finding in findings}
+    assert [found[name].verdict for name in ("touch", "force", "tool x")] == ["ok"] * 3, findings
+    assert "seen to point at 0, by the marker in the hand" in found["tool x"].found
+    assert control.truth()["block"]["height"] == 0
 
 
 @pytest.mark.slow

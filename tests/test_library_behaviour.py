@@ -105,6 +105,18 @@ def test_a_strong_lens_is_undone_up_to_the_corners() -> None:
     np.testing.assert_allclose(lens.project(np.c_[rays, np.ones(len(rays))]), pixels, atol=1e-3)
 
 
+def test_what_is_not_quite_flat_has_no_planar_pose() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)))
+    bent = np.column_stack([x, y, 3e-3 * (1 - (x / 0.1) ** 2)])
+    lens = Intrinsics(640, 480, np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), np.zeros(5))
+    pixels = lens.project(bent + np.array([0.02, 0.01, 0.5]))
+    found = [
+        cv2.solvePnPGeneric(points, pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE)[0]
+        for points in (bent, bent * [1.0, 1.0, 0.0])
+    ]
+    assert found == [0, 2]
+
+
 def test_all_points_of_a_long_curve_are_read(tmp_path: Path) -> None:
     with SummaryWriter(str(tmp_path)) as board:
         for step in range(10_500):

@@ -14,11 +14,13 @@ from baggie.commissioning.new_arm import ARMS
 from baggie.commissioning.new_workcell import NewWorkcellOptions, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
+from baggie.workcell.bag_entry import Bag
 from baggie.workcell.cameras.settings import CameraSettings, Kind
 from baggie.workcell.workcell_file import (
     ArmEntry,
     FrankaEntry,
     LeRobotEntry,
+    PythonEntry,
     ReplayEntry,
     SimulatedEntry,
     WorkcellFile,
@@ -70,14 +72,14 @@ def test_every_kind_has_defaults_that_are_read_without_an_error(tmp_path: Path, 
 
 def test_what_was_answered_is_what_is_read(tmp_path: Path) -> None:
     franka = ("franka", "10.0.0.7", "panda", "0.2", "no")
-    bag = ("0.4 0.6", "-0.2, 0.1", "0.1 0.15", "1 2 3")
+    bag = ("0.4 0.6", "-0.2, 0.1", "0.04 0.06", "0.05", "yes", "1 2 3")
     written = write(tmp_path / "cell.yaml", *franka, "realsense", "any", *bag)
     assert written.arm == FrankaEntry(
         kind="franka", host="10.0.0.7", model="panda", speed=0.2, realtime=False
     )
     assert written.camera == CameraSettings(kind="realsense")
     assert (written.workspace.x, written.workspace.y) == ((0.4, 0.6), (-0.2, 0.1))
-    assert (written.bag.length_m, written.bag.width_m, written.bag.color) == (0.15, 0.1, (1, 2, 3))
+    assert written.bag == Bag(length_m=0.06, width_m=0.04, height_m=0.05, hard=True, color=(1, 2, 3))
 
 
 @pytest.mark.parametrize("kind", get_args(Kind))
@@ -87,6 +89,13 @@ def test_every_kind_of_camera_has_a_source(tmp_path: Path, kind: str) -> None:
     assert write(tmp_path / "cell.yaml", *franka, kind, source).camera == CameraSettings(
         kind=kind, source=source
     )
+
+
+def test_a_camera_of_one_s_own_gets_its_options(tmp_path: Path) -> None:
+    answers = ("franka", "", "", "", "", "python", "my_lab.eye:open_eye", "gain=3")
+    camera = write(tmp_path / "cell.yaml", *answers).camera
+    assert isinstance(camera, PythonEntry)
+    assert (camera.factory, camera.model_extra) == ("my_lab.eye:open_eye", {"gain": 3})
 
 
 def test_a_file_of_pictures_has_to_be_there(tmp_path: Path) -> None:
@@ -124,12 +133,13 @@ def test_another_lerobot_arm_says_what_it_is(tmp_path: Path) -> None:
     assert isinstance(arm, LeRobotEntry)
     assert (arm.port, arm.id, arm.tool, arm.tool_rpy_deg) == (None, None, "grip", (1, 2, 3))
     assert ([joint.name for joint in arm.joints], arm.park, arm.units) == (["a", "b"], (-5, 7), "normalized")
-    assert (arm.widths[-1][1], written.handling.open_width_m, arm.speed) == (0.05, 0.05, 0.3)
+    assert (arm.widths[-1][1], arm.speed) == (0.05, 0.3)
+    assert not written.handling.written, "it follows from the gripper"
     hints = [prompt for prompt in asked if "will not do" in prompt]
     assert [hint.partition(";")[0] for hint in hints] == [
         "'' will not do (expected an answer)",
         "'1 2 3' will not do (expected 2 of them, apart by spaces)",
-        "'0.5' will not do (expected 0.035 to 0.3)",
+        "'0.5' will not do (expected 0.01 to 0.3)",
     ]
 
 
@@ -143,13 +153,13 @@ def test_an_arm_of_one_s_own_gets_its_options_and_opens(
     film.write(np.zeros((48, 64, 3), np.uint8))
     film.release()
     asked, ask = answering(
-        *("python", "asked_arm", "asked_arm:open_arm", "reach_m", "kind=x", "reach_m=0.7", "0.06"),
+        *("python", "asked_arm", "asked_arm:open_arm", "reach_m", "kind=x", "reach_m=0.7"),
         *("opencv", str(tmp_path / "table.avi"), *[""] * 9),
     )
     new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), ask)
     assert len([prompt for prompt in asked if "will not do" in prompt]) == 3
     cell = baggie.open_workcell(tmp_path / "cell.yaml")
-    assert (cell.arm.info.name, cell.settings.handling.open_width_m) == ("imaginary arm", 0.06)
+    assert (cell.arm.info.name, cell.settings.handling.open_width_m) == ("imaginary arm", 0.08)
     with pytest.raises(ReachError, match=r"reaches 0\.70 m"):
         cell.arm.move_to(ToolPose(0.65, 0.3, 0.3), 0.5)
     cell.close()
@@ -177,6 +187,7 @@ def test_a_recording_to_replay_has_to_be_there_and_needs_neither_camera_nor_bag(
         (["sim", "0"], "350 650"),  # millimetres
         (["lerobot", "", "", "", "", "", ""], "120"),
         (["sim", "0", "0.3 0.6", ""], "0.5 0.5"),  # no bag is as large
+        (["sim", "0", "0.3 0.6", ""], "0.05 0.05"),  # nor as small, in a simulated cell
         (["sim", "0", "0.3 0.6", ""], "0.1"),
         (["sim", "0", "0.3 0.6", "", ""], "1 2 256"),
         (["python"], "own arm"),

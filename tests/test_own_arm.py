@@ -21,12 +21,15 @@ from baggie.errors import ArmError, BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.types import PickPlace
 from baggie.workcell.arm_contract import check_arm
+from baggie.workcell.camera_contract import check_camera
+from baggie.workcell.firm_touch import FORCE_N
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.limits import GuardedArm
-from baggie.workcell.primitives import Handling, pick, place
+from baggie.workcell.primitives import Handling, least_turn, pick, place
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
 from lerobot_robot import FR3, NumbersRobot, settings
+from recording_arm import RecordingArm
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "own_arm.py"
@@ -55,6 +58,36 @@ def test_the_template_keeps_the_contract(own_arm: ModuleType) -> None:
     check_arm(GuardedArm(opened(own_arm), LIMITS))
 
 
+class Slept:
+    """The time that passes while the template sleeps."""
+
+    now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.mark.parametrize("sign", [1, 0, -1])
+def test_the_template_feels_a_firm_thing_and_would_be_found_out(own_arm: ModuleType, sign: int) -> None:
+    time = Slept()
+    robot = own_arm.ImaginaryRobot(table_z=0.04)
+    felt = own_arm.ImaginaryRobot.upward_force_n.fget
+    sick = type("Sick", (own_arm.ImaginaryRobot,), {"upward_force_n": property(lambda r: sign * felt(r))})
+    robot.__class__ = sick
+    arm = own_arm.OwnArm(robot, 0.85, sleep=time.sleep)
+
+    def check() -> list[str]:
+        return check_arm(
+            GuardedArm(arm, LIMITS), firm_height_m=0.04, tool_x=lambda: arm.pose().yaw, clock=lambda: time.now
+        )
+
+    if sign > 0:
+        assert check()[0] == "force: felt 3 times at z 40 mm, on a thing of 40 mm"
+        return
+    with pytest.raises(AssertionError, match="pushed on for as long as through the air"):
+        check()
+
+
 def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> None:
     arm = opened(own_arm, table_z=0.05, thing_m=0.02)
     handling, start, goal = Handling(), PlanarPose(0.5, 0.1), PlanarPose(0.45, -0.1)
@@ -63,6 +96,41 @@ def test_the_template_feels_the_table_and_what_it_holds(own_arm: ModuleType) -> 
     release = place(GuardedArm(arm, LIMITS), goal, handling)
     for pose, where in ((grasp.pose, start), (release.pose, goal)):
         np.testing.assert_allclose(pose.xyz, where.at_height(0.05).xyz, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "pick_deg", "place_deg"), [(4, 45, 90), (2, 90, 180), (1, 90, 270), (0, 0, 0)]
+)
+def test_the_yaws_that_the_guide_calls_enough_are_enough(
+    symmetry: int, pick_deg: int, place_deg: int
+) -> None:
+    arm, angles = GuardedArm(RecordingArm(), LIMITS), np.linspace(-np.pi, np.pi, 25)
+    turned = [
+        least_turn(arm, PickPlace(PlanarPose(0.5, 0.0, a), PlanarPose(0.5, 0.1, b)), Handling(), symmetry)
+        for a in angles
+        for b in angles
+    ]
+    picks, places = (
+        np.rad2deg([abs(getattr(action, end).yaw) for action in turned]) for end in ("pick", "place")
+    )
+    assert picks.max() == pytest.approx(pick_deg, abs=8)
+    assert places.max() == pytest.approx(place_deg, abs=16)
+    assert picks.max() <= pick_deg + 1e-6
+    assert places.max() <= place_deg + 1e-6
+    span = "0 | 0" if symmetry == 0 else f"-{pick_deg} to {pick_deg} | -{place_deg} to {place_deg}"
+    assert f"| {span} |" in (ROOT / "docs" / "own-arm.md").read_text()
+
+
+def test_the_speeds_and_forces_that_the_guide_names_are_the_defaults() -> None:
+    text, handling = (ROOT / "docs" / "own-arm.md").read_text(), Handling()
+    for name in ("fast_m_s", "carry_m_s", "feel_m_s"):
+        assert f"| `{name}` | {getattr(handling, name):g} |" in text
+    assert (
+        f"asks for {handling.touch_force_n:g} N when it picks (`touch_force_n`) and {handling.land_force_n:g} N"
+        in text
+    )
+    assert f"`max_contact_force_n`, {LIMITS.max_contact_force_n:g} N" in text
+    assert f"the doctor for\n  {FORCE_N:g} N" in text
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 1))
@@ -119,6 +187,72 @@ def test_a_workcell_file_opens_an_arm_that_lies_beside_it(
     with pytest.raises(LimitError):
         cell.execute(PickPlace(PlanarPose(0.45, 0.0), PlanarPose(0.9, 0.0)))
     cell.close()
+
+
+def test_a_workcell_file_opens_a_camera_that_lies_beside_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    shutil.copy(EXAMPLE, folder / "beside_arm.py")
+    shutil.copy(ROOT / "examples" / "own_camera.py", folder / "beside_camera.py")
+    path = folder / "cell.yaml"
+    path.write_text(
+        "arm: {kind: python, factory: 'beside_arm:open_arm'}\n"
+        "camera: {kind: python, factory: 'beside_camera:open_camera', width: 320, height: 240}\n"
+    )
+    cell = baggie.open_workcell(path)
+    check_camera(cell.camera)
+    before, seen, after = cell.clock(), cell.look(), cell.clock()
+    assert seen.size == (320, 240)
+    assert before - 0.1 <= seen.time <= after + 0.1
+    cell.close()
+
+
+WRONG_CAMERAS = """
+class Blind:
+    name = "blind"
+    size = (640, 480)
+    intrinsics = None
+
+class Flat(Blind):
+    size = 640
+    def look(self): ...
+
+def open_eye(gain=1): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (
+            "'wrong_cameras:Blind'",
+            r"made a Blind, which is no Camera: it lacks look; see baggie/workcell/camera",
+        ),
+        ("'wrong_cameras:Flat'", r"it has a `size` that is not \(width, height\) in pixels"),
+        (
+            "'wrong_cameras:open_eye', fps: 3",
+            r"takes \(gain=1\), not fps .*; change the options below `camera`",
+        ),
+        ("'no_such_camera:open_eye'", r"the camera's factory 'no_such_camera:open_eye' cannot be imported"),
+        ("open_eye", r"line 2: camera\.factory: .*got 'open_eye'"),
+    ],
+)
+def test_a_factory_that_makes_no_camera_is_said_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, camera: str, message: str
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.delitem(sys.modules, "wrong_cameras", raising=False)
+    (folder / "wrong_cameras.py").write_text(WRONG_CAMERAS)
+    shutil.copy(EXAMPLE, folder / "beside_arm.py")
+    path = folder / "cell.yaml"
+    path.write_text(
+        "arm: {kind: python, factory: 'beside_arm:open_arm'}\n"
+        f"camera: {{kind: python, factory: {camera}}}\n"
+    )
+    with pytest.raises(BaggieError, match=message) as raised:
+        baggie.open_workcell(path)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_real_workcell_and_its_pictures_have_one_clock(
@@ -247,6 +381,10 @@ def test_what_a_workcell_file_says_reaches_lerobot(folder: Path, monkeypatch: py
     path.write_text(
         yaml.safe_dump({"arm": arm | {"widths": [[0, 0], [100, 0.05]]}, "camera": str(folder / "table.avi")})
     )
+    narrow = baggie.open_workcell(path)
+    assert narrow.settings.handling.open_width_m == 0.05, "what is not written follows from the gripper"
+    narrow.close()
+    path.write_text(f"{path.read_text()}handling: {{open_width_m: 0.08}}\n")
     with pytest.raises(
         BaggieError, match=r"handling\.open_width_m is 0\.08, the gripper of .* opens to 0\.05; lower it"
     ):

@@ -34,7 +34,14 @@ def cell() -> Iterator[SimulatedWorkcell]:
 
 def test_the_simulated_arm_keeps_the_contract(cell: SimulatedWorkcell) -> None:
     cell.reset((1,))
-    check_arm(cell.arm)
+    cell.world.put_bag(PlanarPose(0.2, 0.55), undented=True)
+    cell.world.block.lay(PlanarPose(0.49, 0.0), 0.04)
+    pressed = []
+    cell.world.watchers.append(lambda: pressed.append(cell.world.block.pressed_n))
+    force, _ = check_arm(cell.arm, firm_height_m=0.04, clock=cell.clock)
+    assert force == "force: felt 3 times at z 49 mm, on a thing of 40 mm"
+    cell.world.watchers.clear()
+    assert 8 < max(pressed) < 100
 
 
 def test_the_simulated_camera_keeps_the_contract(cell: SimulatedWorkcell) -> None:

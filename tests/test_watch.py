@@ -64,6 +64,10 @@ def test_landings_that_drift_all_the_same_way_raise_the_alarm() -> None:
     land(Watch(blank), 0.003)
     with pytest.raises(BumpedError, match="all the same way"):
         land(Watch(blank), 0.03)
+    patterned = cv2.resize(rng.integers(60, 200, (45, 80, 3), dtype=np.uint8), (640, 360))
+    land(Watch(patterned), 0.02)  # the background says that nothing was bumped: the bag is dented
+    with pytest.raises(BumpedError, match=r"seen 4\d mm from where they were let go"):
+        land(Watch(patterned), 0.042)
 
 
 def test_a_blank_table_gives_no_false_alarm() -> None:

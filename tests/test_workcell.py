@@ -18,10 +18,10 @@ from baggie.workcell import config
 from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.cameras.settings import CameraSettings
+from baggie.workcell.handling_rules import SIMULATED_HANDLING
 from baggie.workcell.limits import GuardedArm
 from baggie.workcell.primitives import Handling, pick, place
 from baggie.workcell.real import RealWorkcell
-from baggie.workcell.simulated import SIMULATED_HANDLING
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
@@ -229,7 +229,7 @@ def test_a_real_cell_begins_with_what_the_hand_still_holds_put_down_inside_its_w
     assert arm.log == log, "an empty hand has nothing to put down"
 
 
-@pytest.mark.parametrize("width", [0.0, 0.034, 0.036, 0.08])
+@pytest.mark.parametrize("width", [0.0, 0.034, 0.036, 0.076, 0.08])
 def test_a_hand_that_is_shut_or_has_let_go_holds_nothing(width: float) -> None:
     arm = RecordingArm()
     arm.width = width
@@ -309,7 +309,7 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ),
         (
             f"{FRANKA}camera:\n  kind: usb\n",
-            r"line 5: camera\.kind: .*'realsense', 'orbbec', 'k4a', got 'usb'; change it",
+            r"line 5: camera\.kind: .*'realsense', 'orbbec', 'k4a', 'python', got 'usb'; change it",
         ),
         ("camera:\n  kind: k4a\n  exposure: 8\n", r"line 3: camera\.exposure: .* give one of .*exposure_ms"),
         ("camera:\n  size: [640,\n    wide]\n", r"line 3: camera\.size\.1: .*integer.*, got 'wide'"),
@@ -331,11 +331,11 @@ def test_a_real_workcell_opens_before_its_robot_is_needed(tmp_path: Path) -> Non
         ("workspace:\n  y: [0.3, -0.3]\n", r"line 2: workspace\.y: expected the lower bound first"),
         ("handling:\n  grip_n: 3\n", r"line 2: handling\.grip_n: .* give one of travel_z_m, .*grasp_force_n"),
         (
-            "limits:\n  max_speed_m_s: 0.5\n",
-            r"handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
+            "limits:\n  max_speed_m_s: 0.5\nhandling: {fast_m_s: 1.2}\n",
+            r"cell\.yaml, line 3: handling\.fast_m_s is 1\.2, the limits allow up to 0\.5; lower it",
         ),
         (
-            "limits:\n  z_min_m: 0.02\n",
+            "limits:\n  z_min_m: 0.02\nhandling: {pick_z_m: 0.014}\n",
             r"pick_z_m and place_z_m are 0\.014 and 0\.024, .* no less than 0\.02",
         ),
         ("cell: [", r"cell\.yaml is no YAML, line 1: .*; mend it there"),

@@ -156,7 +156,7 @@ def export(options: ExportOptions, json: bool = False) -> None:
 
 
 def doctor(options: DoctorOptions, json: bool = False) -> None:
-    """Check a workcell: camera, light, arm, calibrations; then, with leave, move slowly and touch the table.
+    """Check a workcell: camera, light, arm, calibrations; then, with leave, move slowly and touch something firm.
 
     Example: baggie doctor cell.yaml
 

@@ -9,7 +9,7 @@ from tyro.conf import Positional, subcommand
 
 from baggie.cli_output import show
 from baggie.commissioning.new_workcell import NewWorkcellOptions, new_workcell
-from baggie.workcell.workcell_file import read_workcell_file
+from baggie.commissioning.shown_workcell import shown_workcell
 
 
 def new(options: NewWorkcellOptions, json: bool = False) -> None:
@@ -25,7 +25,7 @@ def new(options: NewWorkcellOptions, json: bool = False) -> None:
 
 
 def show_file(file: Positional[Path], json: bool = False) -> None:
-    """Everything a workcell file says, and what it leaves to the defaults.
+    """Everything a workcell file says, and what follows from that or is left to the defaults.
 
     Example: baggie workcell show cell.yaml
 
@@ -33,7 +33,7 @@ def show_file(file: Positional[Path], json: bool = False) -> None:
         file: The workcell file.
         json: Print it as one JSON object.
     """
-    show(read_workcell_file(file).model_dump(mode="json"), json)
+    show(shown_workcell(file), json)
 
 
 What = (

@@ -104,7 +104,7 @@ class ToolPose:
     """The tool (point between the fingertips) pointing straight down, in the robot's base frame.
 
     Metres and radians; z is the height above the base frame's xy plane, which is the table top.
-    At yaw 0 the fingers open along y.
+    At yaw 0 the fingers open along y and the tool's own x axis points along the frame's, away from the robot's base.
     """
 
     x: float

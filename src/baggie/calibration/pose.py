@@ -88,11 +88,12 @@ def both_planar_poses(
     """The two poses that nearly explain a flat target, better one first, each with its error in pixels (RMS).
 
     Seen from afar, a slanted plane and its mirror image look alike (Collins & Bartoli, "Infinitesimal Plane-Based Pose
-    Estimation", 2014). Each is refined by least squares before they are compared.
+    Estimation", 2014). Each is refined by least squares before they are compared; what sags a little is taken as flat
+    until then.
     """
     points, pixels = np.asarray(points, float).reshape(-1, 3), np.asarray(pixels, float).reshape(-1, 2)
     count, turns, shifts, _ = cv2.solvePnPGeneric(
-        points, pixels, intrinsics.matrix, intrinsics.distortion, flags=cv2.SOLVEPNP_IPPE
+        points * [1.0, 1.0, 0.0], pixels, intrinsics.matrix, intrinsics.distortion, flags=cv2.SOLVEPNP_IPPE
     )
     found = []
     for turn, shift in zip(turns[:count], shifts[:count], strict=True):

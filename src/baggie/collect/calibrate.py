@@ -19,7 +19,9 @@ from baggie.geometry import transform_points
 from baggie.vision.picture_files import write_picture
 
 MARKER_HEIGHTS_M = (0.07, 0.17)
-"""Above the table while it is looked at; the lower, just clear of a bag that lies there."""
+"""Above the table while it is looked at; the lower, just clear of a bag that lies there, unless that is higher."""
+_CLEAR_M = 0.04
+"""Between the marker and what lies there."""
 
 
 def calibrate_into(folder: Path, cell: CollectorCell, seed: int, watched: bool = True) -> None:
@@ -50,7 +52,9 @@ def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
     in_hand = np.array([settings.marker.offset_m, 0.0, 0.0])
     cell.reset((seeds.CALIBRATION, seed))
     cell.show_paddle(True)
-    places = grid(settings.workspace, MARGIN_M, MARKER_HEIGHTS_M)
+    low, high = MARKER_HEIGHTS_M
+    raised = max(0.0, settings.object_size_m[2] + _CLEAR_M - low)
+    places = grid(settings.workspace, MARGIN_M, (low + raised, high + raised))
     pixels, robot = [], []
     try:
         for _, T_base_hand, observation in visit(cell.arm, camera, places, in_hand):

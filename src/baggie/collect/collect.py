@@ -55,9 +55,8 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     if options.demonstrated:
         return record_demonstrations(options)
     console = Console(stderr=True)
-    opener, robot, table = what_opens(options)
-    simulated = open_cell is None and robot == SIMULATED
-    open_cell = open_cell or opener
+    open_cell, robot, table = what_opens(options, open_cell)
+    simulated = robot == SIMULATED
     patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
     collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery, **table}
 

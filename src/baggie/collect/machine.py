@@ -34,6 +34,7 @@ from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection
+from baggie.workcell.handling_rules import ROOM_M
 
 MAX_TRIES = 3
 MAX_LOOKS = 3
@@ -114,7 +115,8 @@ def plan(turn: Turn) -> State:
     """Grip it where it lies, or where it can still be reached; put it down elsewhere, squared up."""
     assert turn.pose is not None
     settings, pose = turn.cell.settings, turn.pose
-    grip = nearest_grip(settings.limits.workspace, pose.x, pose.y, reach=min(settings.object_size_m[:2]) / 3)
+    reach = ROOM_M if settings.object_hard else min(settings.object_size_m[:2]) / 3
+    grip = nearest_grip(settings.limits.workspace, pose.x, pose.y, reach)
     if grip is None:
         turn.trouble = (
             f"the object at x {pose.x:.2f} m, y {pose.y:.2f} m is out of reach: "
@@ -122,8 +124,10 @@ def plan(turn: Turn) -> State:
         )
         return State.ASK
     long = settings.object_symmetry == LONG
-    turn.doubted = not long and false_45(pose.yaw) and not turn.doubted_before
-    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, turn.doubted_before))
+    # What was not grasped one way is tried the other: a hard square at 45 degrees goes into no hand that stays square.
+    believed = turn.doubted_before != (turn.tries % 2 == 1)
+    turn.doubted = not long and false_45(pose.yaw) and not believed
+    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, believed))
     place = random_place(settings.workspace, pick, turn.rng)
     turn.action = PickPlace(pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place)
     return State.MOVE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,31 +49,45 @@ def open_written_cell(written: WorkcellFile, path: Path, number: int) -> Collect
     return cell
 
 
-def what_opens(options: CollectOptions) -> tuple[OpenCell, str, dict[str, Any]]:
+def what_opens(
+    options: CollectOptions, open_cell: OpenCell | None = None
+) -> tuple[OpenCell, str, dict[str, Any]]:
     """What opens the cell that the options say, what a recording of it says moved, and what else it says of the cell.
 
-    A file is read once, now: of it a recording says what lies on the table and where.
+    Or `open_cell`, where it is given, whose arm says its name. A file is read once, now: of it a recording says what
+    lies on the table and where.
 
     Raises `BaggieError` for a file that cannot be used, and where there are more workers than arms.
     """
+    opener, robot, table = _written(options)
+    if open_cell is not None:
+        with closing(open_cell(options.cell)) as cell:
+            return open_cell, cell.arm.info.name, table
+    return opener, robot(), table
+
+
+def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict[str, Any]]:
+    """As `what_opens`, but the robot's name only where it is asked for: some arms have to be made for it."""
     if options.workcell is None:
-        return functools.partial(open_simulated_cell, scenery=options.scenery), SIMULATED, {}
+        return functools.partial(open_simulated_cell, scenery=options.scenery), lambda: SIMULATED, {}
     from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
-    written = read_workcell_file(options.workcell)
+    path = options.workcell
+    written = read_workcell_file(path)
     if isinstance(written.arm, REAL_ARMS) and options.workers not in (None, 1):
-        raise BaggieError(
-            f"expected --workers 1 with {options.workcell}, which has one arm, got {options.workers}"
-        )
-    table = written.model_dump(mode="json", include={"bag", "workspace"})
-    opener = functools.partial(open_written_cell, written, options.workcell)
-    return opener, _robot(written), {"workcell": table}
+        raise BaggieError(f"expected --workers 1 with {path}, which has one arm, got {options.workers}")
+    table = {**written.model_dump(mode="json", include={"workspace"}), "bag": written.bag.recorded()}
+    opener = functools.partial(open_written_cell, written, path)
+    return opener, functools.partial(robot_of, written, path), {"workcell": table}
 
 
-def _robot(written: WorkcellFile) -> str:
-    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.workcell_file import REAL_ARMS, FrankaEntry  # noqa: PLC0415
+def robot_of(written: WorkcellFile, path: Path) -> str:
+    """What moves in the workcell `written` in a file. Raises `BaggieError` where its arm cannot be made here."""
+    from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.franka_models import MODELS  # noqa: PLC0415
+    from baggie.workcell.workcell_file import FrankaEntry  # noqa: PLC0415
 
-    if isinstance(written.arm, FrankaEntry):
+    if isinstance(written.arm, FrankaEntry):  # whatever its address
         return MODELS[written.arm.model].title
-    return written.arm.kind if isinstance(written.arm, REAL_ARMS) else SIMULATED
+    arm = arm_of(written, path)
+    return SIMULATED if arm is None else arm.name

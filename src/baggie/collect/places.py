@@ -48,14 +48,14 @@ def false_45(yaw: float) -> bool:
     return abs(abs(yaw) - math.pi / 4) < FALSE_45_RAD
 
 
-def grip_yaw(yaw: float, doubted_before: bool) -> float:
+def grip_yaw(yaw: float, believed: bool) -> float:
     """The gripper's angle for an object at `yaw` (radians, modulo a quarter turn).
 
     Along the object, so that putting it down with the gripper at 0 squares it to the workspace. A reading of
     45 degrees is taken for false, and the gripper stays square; but a false one does not survive being moved,
-    so the second in a row (`doubted_before`) is believed.
+    so the second in a row is `believed`, and so is one after the square gripper has missed.
     """
-    return 0.0 if false_45(yaw) and not doubted_before else yaw
+    return 0.0 if false_45(yaw) and not believed else yaw
 
 
 def long_yaw(image_to_robot: ImageToRobot, corners: FloatArray, yaw: float) -> float:

@@ -66,23 +66,23 @@ def run_sitting(
         yield attempt
         failures = 0 if attempt.outcome.success else failures + 1
         if attempt.outcome.failure == "stalled" or failures >= STALL_AFTER:
-            trouble = _stall(attempt, failures)
+            trouble = _stall(attempt, failures, turn.trouble)
             helped = not rescued and cell.rescue()
             if not (helped or ask(trouble)):
                 raise stopped(trouble)
             rescued, failures = rescued or helped, 0
 
 
-def _stall(attempt: Attempt, failures: int) -> str:
+def _stall(attempt: Attempt, failures: int, trouble: str) -> str:
     if attempt.outcome.failure == "stalled":
         return (
             f"after attempt {attempt.attempt_id} the object is still where it was, though the gripper held "
             "something; check that the camera is live and the gripper free"
         )
-    return (
-        f"{failures} attempts in a row failed, the last one ({attempt.attempt_id}) with "
-        f"{attempt.outcome.failure}; check the gripper, the calibration and the object's colour"
-    )
+    failed = f"{failures} attempts in a row failed, the last one ({attempt.attempt_id}) with {attempt.outcome.failure}"
+    if attempt.outcome.failure == "unreachable":
+        return f"{failed}: {trouble}"
+    return f"{failed}; check the gripper, the calibration and the object's colour"
 
 
 def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -> Attempt:

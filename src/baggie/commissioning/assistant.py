@@ -5,6 +5,7 @@ In the simulator, `simulated_assistant.py` does the same things in the world.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -16,8 +17,35 @@ from baggie.terminal import ask
 from baggie.vision.targets import Target
 
 
-class Assistant(Protocol):
-    """Each method returns when it is done; `words` say what to do, in one or two sentences."""
+class Helper(Protocol):
+    """What the doctor needs of somebody. Methods return when it is done; `words` say what to do, in a sentence."""
+
+    def hold(self, target: Target | None, words: str) -> None:
+        """Fix a target to the hand; None stands for a coloured paddle."""
+        ...
+
+    def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
+        """Lay a firm thing on the table under the hand, not lower than the first, not higher than the second of these.
+
+        How high it is, metres; None where nobody lays one.
+        """
+        ...
+
+    def confirm(self, question: str) -> bool | None:
+        """Whether it is so; None where nobody can tell."""
+        ...
+
+    def clock(self) -> float:
+        """Seconds of the arm's own time."""
+        ...
+
+    def put_away(self) -> None:
+        """Take what was held, shown or laid out of hand and view."""
+        ...
+
+
+class Assistant(Helper, Protocol):
+    """What calibrations need of somebody, in the same way."""
 
     def show(self, target: Target, words: str) -> None:
         """Hold a board in front of the camera, somewhere else than before."""
@@ -29,10 +57,6 @@ class Assistant(Protocol):
 
     def lay(self, target: Target, words: str) -> None:
         """Lay a target flat on the table."""
-        ...
-
-    def hold(self, target: Target | None, words: str) -> None:
-        """Fix a target to the hand; None stands for a coloured paddle."""
         ...
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
@@ -48,10 +72,6 @@ class Assistant(Protocol):
 
         None where nobody can tell.
         """
-        ...
-
-    def put_away(self) -> None:
-        """Take targets out of hand and view."""
         ...
 
 
@@ -88,6 +108,31 @@ class PersonAtTerminal:
         if not self._prepared:
             self._ask(words)
 
+    def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
+        """Ask for its height in millimetres, until there is one that will do, or nothing."""
+        lowest, highest = (1000 * height for height in heights_m)
+        wanted, hint = f"{lowest:.0f} to {highest:.0f}", ""
+        while answer := self._ask(
+            f"{hint}{words}; type its height in mm ({wanted}), or nothing to leave this out"
+        ):
+            try:
+                height = float(answer)
+            except ValueError:
+                height = np.nan
+            if lowest <= height <= highest:
+                return height / 1000
+            hint = f"{answer!r} will not do (expected {wanted}); "
+        return None
+
+    def confirm(self, question: str) -> bool | None:
+        """Ask for yes or no; anything else is neither."""
+        answer = self._ask(f"{question} [y/n, nothing where you cannot tell]").lower()
+        return {"y": True, "yes": True, "n": False, "no": False}.get(answer)
+
+    def clock(self) -> float:
+        """A real arm's: the wall clock's."""
+        return time.monotonic()
+
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """Ask, and wait."""
         self._ask(words)
@@ -109,7 +154,7 @@ class PersonAtTerminal:
 
     def put_away(self) -> None:
         """Say so; whatever comes next waits."""
-        self._console.print("[bold]→[/] the target can be taken away")
+        self._console.print("[bold]→[/] what was laid or held can be taken away")
 
     def _ask_terminal(self, words: str) -> str:
         try:

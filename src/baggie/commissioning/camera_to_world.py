@@ -30,7 +30,8 @@ class CameraToWorldOptions(LiveOptions):
     out: Path = Path("camera-to-world.yaml")
     """The calibration to write; live, the pictures go into a folder of the same name."""
     intrinsics: Path = Path("camera.yaml")
-    """The camera's own calibration, made by `baggie calibrate intrinsics`."""
+    """The camera's own calibration, made by `baggie calibrate intrinsics`. It knows how the board sags that it was made
+    with; where that is the target, it is taken so."""
     from_: From = None
     """Pictures already taken, the camera standing still: a folder, one picture, or a video."""
     target: str = BOARD
@@ -43,7 +44,8 @@ def calibrate_camera_to_world(options: CameraToWorldOptions) -> dict[str, Any]:
     """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
     target = parse_target(options.target)
     if options.from_ is not None:
-        result = _from_pictures(options.from_, target, CameraCalibration.load(options.intrinsics))
+        lens = CameraCalibration.load(options.intrinsics)
+        result = _from_pictures(options.from_, lens.shaped(target), lens)
     else:
         with open_bench(options) as bench:
             result = calibrate_camera_to_world_live(bench, options)
@@ -57,7 +59,8 @@ def calibrate_camera_to_world(options: CameraToWorldOptions) -> dict[str, Any]:
 
 def calibrate_camera_to_world_live(bench: Bench, options: CameraToWorldOptions) -> CameraToWorld:
     """Have the target laid on the table, and average some pictures of it."""
-    target, lens = parse_target(options.target), CameraCalibration.load(options.intrinsics, bench.identity)
+    lens = CameraCalibration.load(options.intrinsics, bench.identity)
+    target = lens.shaped(parse_target(options.target))
     folder = ViewFolder(
         options.out.with_suffix(""), {"target": target.spec, "camera": bench.identity.to_yaml()}
     )

@@ -25,6 +25,8 @@ from baggie.ranges import Count, Number, Point, Positive
 from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.watch import Watch
+from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell_file import read_workcell_file
 
 _TOUCH_Z_M = 0.02
 _SPEED_M_S = 0.3
@@ -53,7 +55,7 @@ class CheckOptions(LiveOptions):
     """Laid on the table and touched."""
     against: str | None = None
     """Instead of moving anything, compare the map with another one (a calibration file), or with what a trained
-    `keypoint` policy has learned (a run's folder)."""
+    `keypoint` policy has learned (a run's folder), at half the height of the workcell's bag."""
 
 
 def check_calibration(options: CheckOptions) -> dict[str, Any]:
@@ -128,7 +130,7 @@ def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) 
         return np.zeros((0, 2))
     on_table = image_to_robot.at_height(0.0) if image_to_robot.height_aware else image_to_robot
     find = marker_finder(marker)
-    errors = []
+    errors, speed = [], cell.arm.at_most(_SPEED_M_S)
     for number in range(options.touches):
         bench.assistant.lay(
             marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"
@@ -138,8 +140,8 @@ def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) 
             bench.say("the marker on the table is not seen")
             continue
         x, y = on_table.to_robot(pixel)[0]
-        cell.arm.move_to(ToolPose(x, y, _HOVER_M), _SPEED_M_S)
-        cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), _SPEED_M_S)
+        cell.arm.move_to(ToolPose(x, y, _HOVER_M), speed)
+        cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), speed)
         error = bench.assistant.measure_touch("the fingertips are where the marker's middle should be")
         if error is not None:
             errors.append(error)
@@ -159,6 +161,13 @@ def _summary(errors: FloatArray) -> dict[str, float]:
     }
 
 
+def _object_height_m(options: CheckOptions) -> float:
+    """Of what the policy was taught with: what the workcell file says, where one is given."""
+    if options.workcell == CheckOptions.workcell:
+        return WorkcellSettings().object_size_m[2]
+    return read_workcell_file(Path(options.workcell)).bag.height_m
+
+
 def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, Any]:
     against = Path(str(options.against))
     if against.is_dir():
@@ -171,7 +180,7 @@ def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, A
             raise BaggieError(
                 f"{against} holds a {policy.name} policy, which knows no map; give a keypoint policy's run"
             )
-        other = as_calibration(policy)
+        other = as_calibration(policy, _object_height_m(options) / 2)
     else:
         other = ImageToRobot.load(against)
     comparison = compare(image_to_robot, other)

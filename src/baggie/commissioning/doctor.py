@@ -11,7 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from baggie.commissioning.assistant import Helper, PersonAtTerminal
 from baggie.commissioning.health import MOVING, STILL, Check, Doubt
+from baggie.commissioning.health_with_help import HELPED, HelpedCheck, NotTriedError
 from baggie.errors import BaggieError
 from baggie.ranges import Options, Seed
 from baggie.terminal import ask, is_attended
@@ -30,7 +32,11 @@ class DoctorOptions(Options):
     cell: Seed = 0
     """Number of the simulated workcell."""
     move: Literal["ask", "yes", "no"] = "ask"
-    """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand."""
+    """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand. With
+    `yes` nobody is asked for anything: what needs a person is not tried."""
+    lab: str | None = None
+    """Address of the virtual lab that the workcell is in, such as http://127.0.0.1:8090: it does what a person would
+    have to."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +48,13 @@ class Finding:
     found: str
 
 
-def examine(options: DoctorOptions, leave: Callable[[str], bool] | None = None) -> list[Finding]:
+def examine(
+    options: DoctorOptions, leave: Callable[[str], bool] | None = None, helper: Helper | None = None
+) -> list[Finding]:
     """What came of all checks, failed ones too.
 
-    `leave` is asked whether the arm may move; the terminal unless given.
+    `leave` is asked whether the arm may move, and `helper` to lay and hold what a check needs; the terminal unless
+    given. Simulated workcells and labs help themselves.
     """
     from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
 
@@ -55,7 +64,7 @@ def examine(options: DoctorOptions, leave: Callable[[str], bool] | None = None) 
         return [Finding("workcell", "failed", str(error))]
     try:
         opened = Finding("workcell", "ok", f"{options.workcell}: {cell.settings.name}")
-        return [opened, *_all_checks(cell, options, leave or _ask)]
+        return [opened, *_all_checks(cell, options, leave or _ask, helper or _helper(cell, options))]
     finally:
         cell.close()
 
@@ -78,16 +87,44 @@ def require_healthy(findings: Sequence[Finding]) -> None:
         )
 
 
-def _all_checks(cell: Workcell, options: DoctorOptions, leave: Callable[[str], bool]) -> Iterable[Finding]:
+def _helper(cell: Workcell, options: DoctorOptions) -> Helper | None:
+    """Who lays and holds things; None where nobody does."""
+    from baggie.commissioning.lab_assistant import LabAssistant  # noqa: PLC0415 -- all of these import the simulator
+    from baggie.commissioning.simulated_assistant import SimulatedAssistant  # noqa: PLC0415
+    from baggie.lab.control import LabControl  # noqa: PLC0415
+    from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
+
+    if options.lab is not None:
+        return LabAssistant(LabControl(options.lab))
+    if isinstance(cell, SimulatedWorkcell):
+        return SimulatedAssistant(cell, 0)
+    return PersonAtTerminal() if options.move == "ask" and is_attended() else None
+
+
+def _all_checks(
+    cell: Workcell, options: DoctorOptions, leave: Callable[[str], bool], helper: Helper | None
+) -> Iterable[Finding]:
     still = list(_checked(cell, STILL))
     yield from still
     healthy = all(finding.verdict != "failed" for finding in still)
     question = f"may {cell.arm.info.name} move now, slowly, all over its workspace? Clear the table first"
     if healthy and (options.move == "yes" or (options.move == "ask" and leave(question))):
-        yield from _checked(cell, MOVING, stop_at_failure=True)
+        yield from _checked(cell, {**MOVING, **_with_help(helper)}, stop_at_failure=True)
         return
     why = "no leave to move" if healthy else "nothing moves before the rest is mended"
-    yield from (Finding(name, "not tried", why) for name in MOVING)
+    yield from (Finding(name, "not tried", why) for name in (*MOVING, *HELPED))
+
+
+def _with_help(helper: Helper | None) -> dict[str, Check]:
+    """The checks that need somebody, for who there is."""
+
+    def nobody(_cell: Workcell) -> str:
+        raise NotTriedError("nobody is asked for what it needs; run it at a terminal, without --move yes")
+
+    def helped(check: HelpedCheck, helper: Helper) -> Check:
+        return lambda cell: check(cell, helper)
+
+    return {name: helped(check, helper) if helper else nobody for name, check in HELPED.items()}
 
 
 def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool = False) -> Iterable[Finding]:
@@ -98,6 +135,8 @@ def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool 
             continue
         try:
             yield Finding(name, "ok", check(cell))
+        except NotTriedError as reason:
+            yield Finding(name, "not tried", str(reason))
         except Doubt as doubt:
             yield Finding(name, "look", str(doubt))
         except BaggieError as error:

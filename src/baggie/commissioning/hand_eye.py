@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,6 +26,7 @@ from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
 from baggie.seeds import first_fit
+from baggie.vision.sag import FLAT
 from baggie.vision.targets import parse_target
 from baggie.workcell.arm import hand_pose
 
@@ -44,7 +45,8 @@ class HandEyeOptions(LiveOptions):
     keep_all: bool = False
     """Use all views, also those that disagree with the others."""
     intrinsics: Path = Path("camera.yaml")
-    """The camera's own calibration; live only, a recording brings its own."""
+    """The camera's own calibration; live only, a recording brings its own. It knows how the board sags that it was made
+    with; where that is `board`, it is taken so."""
     mount: Literal["fixed", "hand"] = "fixed"
     """Live: the camera fixed and the board in the hand, or the camera on the hand and the board on the table."""
     board: str = HAND_BOARD
@@ -95,12 +97,13 @@ def _camera_to_robot(camera: CameraIdentity, result: HandEye, out: Path) -> dict
 
 def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
     """Have the arm led from pose to pose, a picture at each; the folder of views, a recording like any other."""
-    cell, board = bench.workcell(), parse_target(options.board)
-    lens = CameraCalibration.load(options.intrinsics, bench.identity)
+    cell, lens = bench.workcell(), CameraCalibration.load(options.intrinsics, bench.identity)
+    board = lens.shaped(parse_target(options.board))
     header = {
         "units": "m",
         "mount": options.mount,
         "board": board.spec,
+        "sag": None if board.sag == FLAT else asdict(board.sag),
         "camera": bench.identity.to_yaml(),
         "camera_matrix": lens.intrinsics.matrix.tolist(),
         "distortion": lens.intrinsics.distortion.tolist(),

@@ -127,7 +127,7 @@ def gripper(cell: Workcell) -> str:
             )
     closed = cell.arm.grasp(cell.settings.handling.grasp_force_n)
     cell.arm.move_gripper(widest)
-    if closed > cell.settings.handling.empty_width_m:
+    if closed > min(cell.settings.handling.empty_width_m, WIDTH_OFF_M):
         raise ArmError(
             f"closed on nothing the fingers are {1000 * closed:.1f} mm apart; home them, clean them"
         )
@@ -138,26 +138,30 @@ def corners(cell: Workcell) -> str:
     """The arm gets everywhere above the workspace."""
     area, off = cell.settings.workspace, []
     here = cell.arm.pose()
-    cell.arm.move_to(replace(here, z=max(here.z, _high(cell))), SLOW_M_S)
+    cell.arm.move_to(replace(here, z=max(here.z, high(cell))), cell.arm.at_most(SLOW_M_S))
     ring = [
         (area.x_min, area.y_min),
         (area.x_max, area.y_min),
         (area.x_max, area.y_max),
         (area.x_min, area.y_max),
     ]
-    for x, y in [*ring, _middle(cell)]:
-        target = PlanarPose(x, y).at_height(_high(cell))
-        off.append(float(np.linalg.norm(cell.arm.move_to(target, SLOW_M_S).xyz - target.xyz)))
+    for x, y in [*ring, middle(cell)]:
+        target = PlanarPose(x, y).at_height(high(cell))
+        off.append(
+            float(np.linalg.norm(cell.arm.move_to(target, cell.arm.at_most(SLOW_M_S)).xyz - target.xyz))
+        )
     return f"four corners and the middle, at most {1000 * max(off):.1f} mm off"
 
 
 def touch(cell: Workcell) -> str:
     """The table is where it is said to be, and nothing lies in the middle."""
     limits, lowest = cell.arm.limits, cell.settings.handling.pick_z_m
-    x, y = _middle(cell)
-    cell.arm.move_to(PlanarPose(x, y).at_height(_high(cell)), SLOW_M_S)
-    reached = cell.arm.lower_until_contact(lowest, FEEL_M_S, min(FEEL_N, limits.max_contact_force_n))
-    cell.arm.move_to(replace(reached, z=_high(cell)), SLOW_M_S)
+    x, y = middle(cell)
+    cell.arm.move_to(PlanarPose(x, y).at_height(high(cell)), cell.arm.at_most(SLOW_M_S))
+    reached = cell.arm.lower_until_contact(
+        lowest, cell.arm.at_most(FEEL_M_S), min(FEEL_N, limits.max_contact_force_n)
+    )
+    cell.arm.move_to(replace(reached, z=high(cell)), cell.arm.at_most(SLOW_M_S))
     if reached.z > lowest + LIES_M:
         raise ArmError(
             f"something was touched at z {1000 * reached.z:.0f} mm, {1000 * (reached.z - lowest):.0f} mm too early; "
@@ -172,12 +176,13 @@ def park(cell: Workcell) -> str:
     return f"parked at x {pose.x:.2f}, y {pose.y:.2f}, z {pose.z:.2f} m"
 
 
-def _high(cell: Workcell) -> float:
+def high(cell: Workcell) -> float:
     """Where the tool moves to and fro, metres: above whatever may lie on the table, and where every arm gets to."""
     return cell.settings.handling.travel_z_m
 
 
-def _middle(cell: Workcell) -> tuple[float, float]:
+def middle(cell: Workcell) -> tuple[float, float]:
+    """Of the workspace, metres."""
     area = cell.settings.workspace
     return (area.x_min + area.x_max) / 2, (area.y_min + area.y_max) / 2
 

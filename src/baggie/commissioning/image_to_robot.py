@@ -53,7 +53,8 @@ class ImageToRobotOptions(LiveOptions):
     """At which the marker is carried, metres above the table. With one height and no intrinsics the map is right at
     that height only."""
     map_height: Height = 0.0
-    """The height the saved map is right at, metres: 0 is the table, half an object's height its outline's."""
+    """The height the saved map is right at, metres above the table, for whoever takes it as it is. Collecting and
+    evaluating carry it to half of the bag's `height_m` in the workcell file, whatever this is."""
     columns: Count = 4
     """Of points from right to left."""
     rows: Count = 3

@@ -11,7 +11,6 @@ from typing import Any
 from baggie.commissioning.questions import Questions, entry, number, one_of, several, spaced, word
 from baggie.errors import DataError
 from baggie.text_files import parse_yaml
-from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell_file import (
     Bounds,
     FrankaEntry,
@@ -21,7 +20,7 @@ from baggie.workcell.workcell_file import (
 )
 
 _NONE = "-"
-_WIDEST_M = 0.3
+_NARROWEST_M, _WIDEST_M = 0.01, 0.3
 _SO101 = ("so100_follower", "so101_follower")
 _SO101_PARK = (80.0, -40.0, 40.0, 90.0, 0.0)
 _SO101_TOOL_RPY = (0.0, 0.0, 90.0)
@@ -91,19 +90,23 @@ def _lerobot(questions: Questions, _folder: Path) -> NewArm:
     width_m = _width(questions, 0.07)
     arm["widths"] = [[0.0, 0.0], [100.0, width_m]]
     arm["speed"] = _speed(questions, fields["speed"].default)
-    handling = _SMALL_HANDLING if small else {}
-    return NewArm(
-        arm, {"handling": {**handling, "open_width_m": width_m}}, workspace=_SMALL if small else Bounds()
-    )
+    if small:
+        return NewArm(arm, {"handling": _SMALL_HANDLING}, workspace=_SMALL)
+    return NewArm(arm)
 
 
 def _python(questions: Questions, _folder: Path) -> NewArm:
-    words = "what makes the arm, as module:function; the module is installed, or lies in this file's folder"
-    factory = questions.ask(words, "own_arm:open_arm", entry(PythonEntry, "factory"))
+    return NewArm(ask_factory(questions, "arm"))
+
+
+def ask_factory(questions: Questions, what: str) -> dict[str, Any]:
+    """Which function makes an arm, or a camera, of one's own, and what it is given."""
+    words = (
+        f"what makes the {what}, as module:function; the module is installed, or lies in this file's folder"
+    )
+    factory = questions.ask(words, f"own_{what}:open_{what}", entry(PythonEntry, "factory"))
     words = f"what it is given, as name=value apart by spaces, or {_NONE} for nothing"
-    options = questions.ask(words, _NONE, _options)
-    handling = {"open_width_m": _width(questions, Handling().open_width_m)}
-    return NewArm({"factory": factory, **options}, {"handling": handling})
+    return {"factory": factory, **questions.ask(words, _NONE, _options)}
 
 
 def _replay(questions: Questions, folder: Path) -> NewArm:
@@ -138,12 +141,10 @@ def _speed(questions: Questions, default: float) -> float:
 
 
 def _width(questions: Questions, default_m: float) -> float:
-    """As far as the fingers have to open to let go, at least."""
-
     def width(answer: str) -> float:
         value = number(answer)
-        if not Handling().release_width_m <= value <= _WIDEST_M:
-            raise ValueError(f"expected {Handling().release_width_m:g} to {_WIDEST_M:g}")
+        if not _NARROWEST_M <= value <= _WIDEST_M:
+            raise ValueError(f"expected {_NARROWEST_M:g} to {_WIDEST_M:g}")
         return value
 
     return questions.ask("how far its fingers open, in metres", f"{default_m:g}", width)

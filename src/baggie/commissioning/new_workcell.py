@@ -10,13 +10,14 @@ from typing import Any, get_args
 import tyro
 import yaml
 
-from baggie.commissioning.new_arm import ARMS, NewArm
+from baggie.commissioning.new_arm import ARMS, NewArm, ask_factory
 from baggie.commissioning.questions import Questions, bounds, color, entry, one_of, several, spaced
 from baggie.errors import BaggieError
 from baggie.files import write_text
+from baggie.workcell.bag_entry import Bag
 from baggie.workcell.cameras.opencv import is_live
 from baggie.workcell.cameras.settings import Kind
-from baggie.workcell.workcell_file import Bag, read_workcell_file
+from baggie.workcell.workcell_file import read_workcell_file
 
 _NEXT = """\
 # A workcell. What stands here and what else may: docs/workcell.md.
@@ -61,15 +62,18 @@ def _content(questions: Questions, folder: Path) -> dict[str, Any]:
     )
     content |= {"workspace": {"x": x, "y": y}, **arm.beside}
     if kind != "replay":  # which shows the bags that it has
-        content["bag"] = _bag(questions)
+        content["bag"] = _bag(questions, arm.real)
     return content
 
 
 def _camera(questions: Questions) -> dict[str, Any]:
     words = (
-        "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth"
+        "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth; python, "
+        "one of your own"
     )
-    kind = questions.ask(words, "opencv", one_of(*get_args(Kind)))
+    kind = questions.ask(words, "opencv", one_of(*get_args(Kind), "python"))
+    if kind == "python":
+        return {"kind": kind, **ask_factory(questions, "camera")}
     if kind == "opencv":
         words = "its number, device or address, or the video file"
         return {"kind": kind, "source": questions.ask(words, "0", _source)}
@@ -86,9 +90,27 @@ def _source(answer: str) -> str:
     return answer
 
 
-def _bag(questions: Questions) -> dict[str, Any]:
-    bag, side = Bag(), entry(Bag, "length_m")
-    words = "the bag, length and width in metres"
-    sides = questions.ask(words, spaced((bag.length_m, bag.width_m)), several(side, 2))
-    shade = questions.ask("its colour, red green blue of 255", spaced(bag.color), color)
-    return {"length_m": max(sides), "width_m": min(sides), "color": shade}
+def _bag(questions: Questions, real: bool) -> dict[str, Any]:
+    bag = Bag()
+    words = "the bag, or what lies there in its place, length and width in metres"
+    sides = questions.ask(
+        words, spaced((bag.length_m, bag.width_m)), _real_sides if real else _simulated_sides
+    )
+    content: dict[str, Any] = {"length_m": max(sides), "width_m": min(sides)}
+    if real:
+        words = "how high it is where it lies, in metres"
+        content["height_m"] = questions.ask(words, f"{bag.height_m:g}", entry(Bag, "height_m"))
+        words = "is it hard, so that the hand has to go over it? yes or no"
+        content["hard"] = questions.ask(words, "no", one_of("yes", "no")) == "yes"
+    content["color"] = questions.ask("its colour, red green blue of 255", spaced(bag.color), color)
+    return content
+
+
+def _real_sides(answer: str) -> list[float]:
+    return several(entry(Bag, "length_m"), 2)(answer)
+
+
+def _simulated_sides(answer: str) -> list[float]:
+    sides = _real_sides(answer)
+    Bag(length_m=max(sides), width_m=min(sides)).check_simulated()
+    return sides

@@ -42,12 +42,13 @@ def visit(
     marker that is not where it is said to be shows. Positions out of reach are passed over: what is missing shows in
     the count.
     """
+    speed = min(_SPEED_M_S, arm.info.max_speed_m_s)
     for number, position in enumerate(positions):
         yaw = YAW_RAD if number % 2 else -YAW_RAD
         upright = hand_matrix(ToolPose(0.0, 0.0, 0.0, yaw))
         x, y, z = position - transform_points(upright, marker_in_hand[None])[0]
         try:
-            arm.move_to(ToolPose(float(x), float(y), float(z), yaw), _SPEED_M_S)
+            arm.move_to(ToolPose(float(x), float(y), float(z), yaw), speed)
         except (LimitError, ReachError):
             continue
         yield number, hand_pose(arm), camera.look()

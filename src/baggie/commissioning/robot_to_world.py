@@ -19,7 +19,7 @@ from baggie.commissioning.world import points_to_touch
 from baggie.errors import DataError
 from baggie.geometry import transform_points
 from baggie.ranges import Height
-from baggie.vision.targets import parse_target
+from baggie.vision.targets import parse_target, with_sag
 from baggie.workcell.arm import hand_pose
 
 
@@ -48,7 +48,7 @@ def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
         result = _fit(read_views_file(options.from_)["views"], options)
     else:
         with open_bench(options) as bench:
-            result = calibrate_robot_to_world_live(bench, options)
+            result = calibrate_robot_to_world_live(bench, options, camera)
     result.save(options.out)
     summary: dict[str, Any] = {"calibration": str(options.out), **result.summary()}
     if camera is not None:
@@ -75,9 +75,16 @@ def _fit(touches: list[dict[str, Any]], options: RobotToWorldOptions) -> RobotTo
     return fit_from_points(world, base)
 
 
-def calibrate_robot_to_world_live(bench: Bench, options: RobotToWorldOptions) -> RobotToWorld:
-    """Have the arm led to points of the target, one after the other; each touch is kept at once."""
+def calibrate_robot_to_world_live(
+    bench: Bench, options: RobotToWorldOptions, camera: CameraToWorld | None = None
+) -> RobotToWorld:
+    """Have the arm led to points of the target, one after the other; each touch is kept at once.
+
+    A target that the camera was calibrated to is as bent as it was taken to be there.
+    """
     cell, target = bench.workcell(), parse_target(options.target)
+    if camera is not None and camera.target == target.spec:
+        target = with_sag(target, camera.sag)
     folder = ViewFolder(options.out.with_suffix(""), {"target": target.spec, "probe_m": options.probe})
     if not folder.views:
         bench.assistant.clear_table()

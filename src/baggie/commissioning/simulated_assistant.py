@@ -20,6 +20,8 @@ TOUCH_STD_M = 0.0003
 """How exactly somebody leads a pointed probe onto a printed corner, for each axis."""
 PROBE_M = 0.03
 """How far the probe in the gripper reaches beyond the tool point."""
+BLOCK_M = 0.04
+"""High is the firm block."""
 _TRIES = 200
 _COLUMNS, _ROWS = 5, 4
 """Parts of the picture a board is shown in, one after the other."""
@@ -68,6 +70,20 @@ class SimulatedAssistant:
         self._cell.hold_target(target)
         self._cell.show_paddle(target is None)
 
+    def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
+        """The block, under the hand, and the bag out of its way."""
+        self.clear_table()
+        self._cell.world.block.lay(self._cell.arm.pose().planar, BLOCK_M)
+        return BLOCK_M
+
+    def confirm(self, question: str) -> bool | None:
+        """Nobody looks."""
+        return None
+
+    def clock(self) -> float:
+        """Simulated."""
+        return self._cell.clock()
+
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """There, as exactly as the joints can."""
         assert T_base_hand is not None
@@ -91,6 +107,7 @@ class SimulatedAssistant:
 
     def put_away(self) -> None:
         """Out of hand and view."""
+        self._cell.world.block.take_away()
         self._cell.hold_target(None)
         self._cell.show_paddle(False)
         self._cell.hide_target()
@@ -131,4 +148,5 @@ def lying(target: Target, pose: PlanarPose) -> FloatArray:
     """`T_base_target` `(4, 4)` of a target flat on the table, face up, the middle of its points at `pose`."""
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-    return rigid(rotation, np.array([pose.x, pose.y, 0.0]) - rotation @ target.points.mean(axis=0))
+    middle = target.points.mean(axis=0) * [1.0, 1.0, 0.0]  # however it sags, its corners are on the table
+    return rigid(rotation, np.array([pose.x, pose.y, 0.0]) - rotation @ middle)

@@ -22,18 +22,19 @@ def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArr
     """Points of a target worth touching, with words for where each is: `(3,)` metres, world frame.
 
     The origin, the far ends of the x axis and of the y axis; unless `axes_only`, the opposite corner and, of a board,
-    the middle of each side as well: then a wrong touch shows, and the others make up for one another.
+    the middle of each side as well: then a wrong touch shows, and the others make up for one another. Of a board that
+    sags, these are not in the plane of the corners.
     """
     points = transform_points(T_world_target(target), target.points)
     width, height = points[:, 0].max(), points[:, 1].max()
     corner = "corner of the black square" if len(points) == 4 else "inner corner"
     wanted = [
-        (f"the world's origin: the lower left {corner}", (0.0, 0.0)),
-        (f"a point on the x axis: the lower right {corner}", (width, 0.0)),
-        (f"a point on the y axis: the upper left {corner}", (0.0, height)),
+        (f"the world's origin: the lower left {corner}", (0.0, 0.0, 0.0)),
+        (f"a point on the x axis: the lower right {corner}", (width, 0.0, 0.0)),
+        (f"a point on the y axis: the upper left {corner}", (0.0, height, 0.0)),
     ]
     if not axes_only:
-        wanted.append((f"the upper right {corner}", (width, height)))
+        wanted.append((f"the upper right {corner}", (width, height, 0.0)))
     if not axes_only and len(points) > 4:
         middles = {
             "lower": (width / 2, 0.0),
@@ -42,6 +43,8 @@ def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArr
             "left": (0.0, height / 2),
         }
         for side, middle in middles.items():
-            x, y = points[np.argmin(np.linalg.norm(points[:, :2] - middle, axis=1)), :2]
-            wanted.append((f"the {corner} on the {side} side at {1000 * x:.0f}, {1000 * y:.0f} mm", (x, y)))
-    return [(words, np.array([x, y, 0.0])) for words, (x, y) in wanted]
+            x, y, z = points[np.argmin(np.linalg.norm(points[:, :2] - middle, axis=1))]
+            wanted.append(
+                (f"the {corner} on the {side} side at {1000 * x:.0f}, {1000 * y:.0f} mm", (x, y, z))
+            )
+    return [(words, np.array(point)) for words, point in wanted]

@@ -14,6 +14,8 @@ from baggie.errors import DataError
 
 _LATER = frozenset({"workcell"})
 """What older recordings do not say of how they were collected: it is taken to be the same."""
+_ANY_ROBOT = frozenset({"python", "lerobot"})
+"""What older recordings say of an arm of one's own or LeRobot's: its name is taken to be the same."""
 FORMAT = "baggie-attempts-1"
 """The layout of `attempts/`; changes when a reader of the old one would misread the new."""
 
@@ -67,7 +69,8 @@ class DatasetSettings:
         mine, theirs = _flat(self), _flat(other)
         for key in sorted(mine.keys() | theirs.keys()):
             recorded, asked = mine.get(key), theirs.get(key)
-            if recorded != asked and not (key in _LATER and key not in mine):
+            older = (key in _LATER and key not in mine) or (key == "robot_type" and recorded in _ANY_ROBOT)
+            if recorded != asked and not older:
                 raise DataError(
                     f"{root} was recorded with {key} = {recorded!r}, not {asked!r}: "
                     "go on with the same settings, or record into another folder"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,9 @@ def _says(workcell: Path) -> str:
 
     if not workcell.exists():
         return UNKNOWN
-    written = read_workcell_file(workcell).model_dump(mode="json")
+    file = read_workcell_file(workcell)
+    follows = {"bag": file.bag.recorded(), "handling": asdict(file.handled().handling)}
+    written = {**file.model_dump(mode="json"), **follows}
     for section in (written["arm"], written["camera"] or {}):
         for address in ("host", "port", "source", "timeout_s"):
             section.pop(address, None)

@@ -12,6 +12,7 @@ import cv2
 import torch
 from rich.console import Console
 
+from baggie.collect.opening import robot_of
 from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.block_tasks import BLOCKS
@@ -81,6 +82,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
         "run": Path(options.policy).name,
         "task": options.task,
         **_place(options),
+        **_robot(options),
         **conditions,
         **kind.measure([episodes[number] for number in range(options.episodes)], options),
         "provenance": provenance([options.seed]),
@@ -112,6 +114,15 @@ def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
 def _place(options: EvaluateOptions) -> dict[str, Any]:
     """Which workcell it is in: a file's or, simulated, one with a number."""
     return {"cell": options.cell} if options.workcell is None else {"workcell": str(options.workcell)}
+
+
+def _robot(options: EvaluateOptions) -> dict[str, Any]:
+    """What moved, where a file says it."""
+    if options.workcell is None or not options.workcell.exists():
+        return {}
+    from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
+
+    return {"robot": robot_of(read_workcell_file(options.workcell), options.workcell)}
 
 
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:

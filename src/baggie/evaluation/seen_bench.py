@@ -7,7 +7,9 @@ from baggie.evaluation.bench import Bench
 from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.seen_cell import SeenCell
 from baggie.evaluation.subjects import open_policy
-from baggie.policies import ColorMaskPolicy, Policy
+from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy
+from baggie.policies.as_trained import check_camera
+from baggie.policies.exported import ExportedPolicy
 from baggie.workcell.config import open_workcell
 from baggie.workcell.real import RealWorkcell
 
@@ -15,7 +17,8 @@ from baggie.workcell.real import RealWorkcell
 def open_bench(options: EvaluateOptions) -> Bench:
     """The workcell of `options.workcell` and the policy; `color-mask` plans with the workcell's own map.
 
-    Raises `BaggieError` for a file that describes no real workcell, or has no map to measure with.
+    Raises `BaggieError` for a file that describes no real workcell, or has no map to measure with, and for a policy
+    that was trained with another camera.
     """
     assert options.workcell is not None
     opened = open_workcell(options.workcell)
@@ -30,6 +33,8 @@ def open_bench(options: EvaluateOptions) -> Bench:
             policy = ColorMaskPolicy(cell.image_to_robot, cell.settings.object_color)
         else:
             policy = open_policy(options.policy, options.calibration, options.device)
+        if isinstance(policy, LearnedPolicy | ExportedPolicy):
+            check_camera(opened.camera.size, policy.camera_size)
     except BaggieError:
         opened.close()
         raise

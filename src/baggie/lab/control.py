@@ -42,6 +42,14 @@ class LabControl:
         """Put the bag somewhere else; the dents that grasps left in it stay unless `undented`."""
         self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw, undented=int(undented))
 
+    def lay_block(self, pose: PlanarPose, height_m: float) -> None:
+        """Lay a firm block on the table for the arm to feel, beside the bag and below the hand."""
+        self._ask("POST", "block", x=pose.x, y=pose.y, height=height_m)
+
+    def take_block_away(self) -> None:
+        """Off the table."""
+        self._ask("POST", "block", height=0)
+
     def show_paddle(self, shown: bool) -> None:
         """Put the calibration paddle into the hand, or take it away; see `baggie.workcell.workcell.Marker`."""
         self._ask("POST", "paddle", shown=int(shown))

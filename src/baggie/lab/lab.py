@@ -17,6 +17,7 @@ from baggie.lab.darkroom import Darkroom, Moment
 from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.sim.bag import BagParameters
+from baggie.sim.block import MAX_HEIGHT_M
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.layout import lay_bags
 from baggie.sim.sensor import Exposure
@@ -28,6 +29,10 @@ PORTS = (1337, 1338)
 """Of robot and hand, given by the protocol."""
 WITHIN_M = 2.0
 """So far from the robot, along x and along y, the bag may be laid: well off the table, and no further."""
+APART_M = 0.16
+"""So far apart bag and block are, so that neither lies on the other."""
+HAND_ABOVE_M = 0.02
+"""So far above a block the tool has to be for somebody to lay it."""
 BUSY_S = 0.1
 """A robot that was moved less than this ago is likely to go on."""
 T = TypeVar("T")
@@ -166,7 +171,34 @@ class Lab:
                 f"expected x and y within {WITHIN_M:g} m of the robot and a finite yaw, got {pose.x:g}, {pose.y:g} and "
                 f"{pose.yaw:g}"
             )
+        block = self.world.block.pose
+        if block is not None and pose.distance(block) < APART_M:
+            raise BaggieError("expected a bag beside the block, got one on it; take the block away first")
         self.world.put_bag(pose, undented=undented)
+
+    def lay_block(self, pose: PlanarPose, height_m: float) -> None:
+        """Lay a firm block, its middle at `pose`, for the arm to feel; a height of 0 takes it away.
+
+        Raises `BaggieError` where no person would.
+        """
+        if height_m == 0:
+            self.world.block.take_away()
+            return
+        if not (0 < height_m <= MAX_HEIGHT_M and abs(pose.x) <= WITHIN_M and abs(pose.y) <= WITHIN_M):
+            raise BaggieError(
+                f"expected a block of at most {MAX_HEIGHT_M:g} m within {WITHIN_M:g} m of the robot, got one of "
+                f"{height_m:g} m at {pose.x:g}, {pose.y:g}"
+            )
+        if pose.distance(self.world.bag_pose()) < APART_M:
+            raise BaggieError(
+                "expected a block beside the bag, got one on it; lay the bag somewhere else first"
+            )
+        x, y, z = self.robot.tool_xyz
+        if pose.distance(PlanarPose(x, y)) < APART_M and z < height_m + HAND_ABOVE_M:
+            raise BaggieError(
+                f"expected a block below the hand, got one of {height_m:g} m with the tool at {z:.3f} m; raise the arm"
+            )
+        self.world.block.lay(pose, height_m)
 
     def moment(self) -> Moment:
         """The scene as it is now, for the darkroom to draw."""

@@ -4,6 +4,7 @@ GET  /camera.mjpg
 GET  /truth
 POST /reset?seed=3
 POST /bag?x=0.5&y=0.1&yaw=0&undented=1
+POST /block?x=0.5&y=0&height=0.04
 POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
 """
@@ -93,6 +94,11 @@ class _Handler(BaseHTTPRequestHandler):
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
                     undented = _whole(words, "undented", 0, most=1) == 1
                     lab.call(lambda: lab.lay_bag(pose, undented=undented))
+                case "/block":
+                    _check_known(words, "x", "y", "height")
+                    height = _number(words, "height")
+                    at = PlanarPose(_number(words, "x", 0.0), _number(words, "y", 0.0))
+                    lab.call(lambda: lab.lay_block(at, height))
                 case "/paddle":
                     _check_known(words, "shown")
                     shown = _whole(words, "shown", most=1) == 1
@@ -102,7 +108,7 @@ class _Handler(BaseHTTPRequestHandler):
                     after, seconds = _number(words, "after", 0.0), _number(words, "seconds", DEFAULT_S)
                     lab.call(lambda: cause(words.get("name", ""), lab, camera, after, seconds))
                 case other:
-                    raise BaggieError(f"expected /reset, /bag, /paddle or /fault, got {other}")
+                    raise BaggieError(f"expected /reset, /bag, /block, /paddle or /fault, got {other}")
         except BaggieError as error:
             self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         else:
@@ -150,6 +156,7 @@ def truth(lab: Lab) -> dict[str, Any]:
         "time": lab.time,
         "bag": asdict(lab.world.bag_pose()),
         "bag_lowest_z": float(lab.world.bag_points[:, 2].min()),
+        "block": {"height": lab.world.block.height_m, "pressed_n": lab.world.block.pressed_n},
         "tool": dict(zip("xyz", lab.robot.tool_xyz, strict=True)),
         "gripper_width": lab.robot.hand.width,
         "motions_begun": lab.fci.begun,

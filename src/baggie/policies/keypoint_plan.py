@@ -151,17 +151,18 @@ def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
     """The yaw at which an object lies along the sides of a goal with these corners `(N, 2)` on the table, radians.
 
     Long on long, where both are; else to the nearest quarter turn. Of those that look the same, the one nearest to the
-    yaw it is picked at.
+    yaw it is picked at. Corners of what is seen askew, or stands up from the table, are sheared: half of that is the
+    most it turns, since both directions of sides count by their length.
     """
     x, y = (np.roll(corners, -1, axis=0) - corners).T
     length, direction = np.hypot(x, y), np.arctan2(y, x)
-    # Opposite sides point the same way modulo half a turn; of a long goal, the long ones outweigh the short ones.
-    doubled = (length * np.exp(2j * direction)).sum() / length.sum()
-    times_longer = (1 + abs(doubled)) / max(1 - abs(doubled), 1e-9)
-    long = symmetry == 2 and times_longer > LONG
-    folds = 2 if long else 4
-    yaw = float(np.angle(doubled if long else (length * np.exp(4j * direction)).sum())) / folds
-    turn = 2 * math.pi / folds
+    yaw = float(np.angle((length * np.exp(4j * direction)).sum())) / 4
+    # Twice how far it reaches along this yaw and across it. Sheared, a square reaches as far either way.
+    along = float((length * np.abs(np.cos(direction - yaw))).sum())
+    across = float((length * np.abs(np.sin(direction - yaw))).sum())
+    turn = math.pi / 2
+    if symmetry == 2 and max(along, across) > LONG * min(along, across):
+        yaw, turn = yaw + (math.pi / 2 if across > along else 0.0), math.pi
     return yaw + turn * round((pick_yaw - yaw) / turn)
 
 

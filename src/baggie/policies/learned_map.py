@@ -16,7 +16,7 @@ _ROWS, _COLUMNS = 9, 16
 _LIMIT_MM = 1.0
 
 
-def as_calibration(policy: KeypointPolicy, height_m: float = 0.015) -> ImageToRobot:
+def as_calibration(policy: KeypointPolicy, height_m: float) -> ImageToRobot:
     """The policy's map from its picture to the robot, fitted to a grid over its view.
 
     `height_m` is the height it was learned at, half that of the bags at rest. The map's lens bends from the picture to

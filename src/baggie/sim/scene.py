@@ -14,6 +14,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
+from baggie.sim.block import block_xml
 from baggie.sim.cell import Cell
 from baggie.sim.cup import CUP, CUP_OFFSET_M, fit_cup
 from baggie.sim.distractors import Distractor, distractor_xml
@@ -102,6 +103,7 @@ def build_model(
         cloths += _CLOTH.format(name="second_cloth")
         bags += bag_xml(second, SECOND_BAG, "second_cloth")
     things = bags + "".join(distractor_xml(number, thing) for number, thing in enumerate(distractors))
+    things += block_xml()
     scene = scene_spec(cell, cloths, things)
     model = scene.compile()
     rng = paint_table(model, cell)

@@ -10,6 +10,7 @@ import numpy as np
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.bag import BAG, SECOND_BAG, BagParameters
+from baggie.sim.block import Block
 from baggie.sim.cell import Cell
 from baggie.sim.distractors import Distractor
 from baggie.sim.scene import (
@@ -56,12 +57,14 @@ class World(ArmWorld):
         super().__init__(cell, build_model(cell, self.bag, second, self.distractors))
         self._bag = SoftBody(self.model, self.data, BAG, self.bag)
         self._second = SoftBody(self.model, self.data, SECOND_BAG, second) if second else None
+        self.block = Block(self.model, self.data)
+        """Firm, for an arm to feel; away until it is laid."""
         self.reset(PlanarPose(0.5, 0.0))
 
     # -- time ---------------------------------------------------------------------------------------------------
 
     def _choose_timestep(self, seconds: float) -> float:
-        """Coarse as long as the hand is well above the bag."""
+        """Coarse as long as the hand is well above whatever it could touch."""
         coarse = self._hand_is_clear()
         # Newton's method is exact when cloth is squeezed; at rest one step of conjugate gradients is as good.
         self.model.opt.solver = mujoco.mjtSolver.mjSOL_CG if coarse else mujoco.mjtSolver.mjSOL_NEWTON
@@ -69,7 +72,8 @@ class World(ArmWorld):
 
     def _hand_is_clear(self) -> bool:
         fingertips = self.data.site_xpos[self._tool_site, 2] - FINGERTIP_M
-        return bool(fingertips - self.data.flexvert_xpos[:, 2].max() > CLEARANCE_M)
+        highest = max(self.data.flexvert_xpos[:, 2].max(), self.block.height_m)
+        return bool(fingertips - highest > CLEARANCE_M)
 
     def reset(self, bag_pose: PlanarPose, second_pose: PlanarPose | None = None) -> None:
         """Arm home, gripper open, the bag dropped flat at this pose without dents, everything at rest.
@@ -77,6 +81,7 @@ class World(ArmWorld):
         So is the second bag at its own pose, where there is one.
         """
         self._reset_arm()
+        self.block.take_away()
         if self._second is not None:
             self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M, undented=True)
         self.put_bag(bag_pose, undented=True)

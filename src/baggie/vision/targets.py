@@ -6,7 +6,6 @@ marker, its middle), x runs right along the print, y down it, z into the paper. 
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from baggie.geometry import FloatArray
 from baggie.types import Image
 from baggie.vision.edges import refine_bent_sides
 from baggie.vision.saddle import MAX_MOVE_PX, refine_saddles
+from baggie.vision.sag import FLAT, Sag
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""
@@ -53,6 +53,11 @@ class Target(Protocol):
         """`(N, 3)` metres: all its points in its own frame, in the order of their ids."""
         ...
 
+    @property
+    def sag(self) -> Sag:
+        """How it is bent: its points are where that puts them."""
+        ...
+
     def detect(self, image: Image) -> Seen | None:
         """Its points in a picture `(H, W, 3)`; None where too few are found."""
         ...
@@ -73,6 +78,8 @@ class Charuco:
     dictionary: str
     legacy: bool = False
     """As OpenCV before 4.6 laid out boards with an even number of rows: a marker in the top left square."""
+    sag: Sag = FLAT
+    """How it is bent."""
 
     def __post_init__(self) -> None:
         """Raise `BaggieError` where its dictionary has too few markers for it."""
@@ -104,7 +111,8 @@ class Charuco:
     @property
     def points(self) -> FloatArray:
         """`(N, 3)` metres: the inner corners, row by row."""
-        return np.asarray(self.board.getChessboardCorners(), float)
+        flat = np.asarray(self.board.getChessboardCorners(), float)
+        return self.sag.bend(flat, flat)
 
     def detect(self, image: Image) -> Seen | None:
         """Its inner corners in a picture, whichever of the two layouts was printed."""
@@ -123,15 +131,9 @@ class Charuco:
             return None
         index = np.asarray(ids.ravel(), np.int64)
         pixels = np.asarray(corners, float).reshape(-1, 2)
-        return Seen(index, refine_saddles(grey, pixels, self._clear_px(pixels)), self.points[index])
-
-    def _clear_px(self, pixels: FloatArray) -> int:
-        """How far around its corners there is nothing but squares, pixels: to the markers' own corners."""
-        apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
-        np.fill_diagonal(apart, np.inf)
-        square_px = float(np.median(apart.min(axis=1)))
-        clear = (self.square_m - self.marker_m) / 2 * math.sqrt(2) / self.square_m * square_px
-        return int(np.clip(clear, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
+        # The window's own corner, too, must end before a marker's, which would draw it towards the board's middle.
+        clear = (self.square_m - self.marker_m) / 2 / self.square_m
+        return Seen(index, refine_saddles(grey, pixels, _radius_px(pixels, clear)), self.points[index])
 
     def why_not(self, image: Image) -> str:
         """Markers of another dictionary, a mirrored picture, too few corners, or nothing at all."""
@@ -151,6 +153,8 @@ class Chessboard:
     columns: int
     rows: int
     square_m: float
+    sag: Sag = FLAT
+    """How it is bent."""
 
     @property
     def spec(self) -> str:
@@ -160,6 +164,10 @@ class Chessboard:
     @property
     def points(self) -> FloatArray:
         """`(N, 3)` metres: the inner corners, row by row."""
+        return self.sag.bend(self._flat, self._flat)
+
+    @property
+    def _flat(self) -> FloatArray:
         v, u = np.mgrid[: self.rows, : self.columns]
         return np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3) * self.square_m
 
@@ -182,7 +190,9 @@ class Chessboard:
                         corners = corners[::-1]
             if found:
                 pixels = np.asarray(corners, float).reshape(-1, 2)
-                return Seen(np.arange(len(pixels), dtype=np.int64), pixels, board.points)
+                pixels = refine_saddles(grey, pixels, _radius_px(pixels, 0.5))
+                points = self.sag.bend(board._flat, self._flat)
+                return Seen(np.arange(len(pixels), dtype=np.int64), pixels, points)
         return None
 
     def why_not(self, image: Image) -> str:
@@ -210,6 +220,11 @@ class Marker:
         half = self.size_m / 2
         return np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
 
+    @property
+    def sag(self) -> Sag:
+        """None: four corners say nothing of it."""
+        return FLAT
+
     def detect(self, image: Image) -> Seen | None:
         """Its four corners in a picture."""
         corners, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
@@ -232,6 +247,11 @@ class Marker:
             others = ", ".join(map(str, sorted(set(ids.ravel().tolist()))))
             return f"marker {self.number} of {self.dictionary} is not in the picture, but {others} is"
         return _why_no_markers(image, self.dictionary, 1)
+
+
+def with_sag(target: Target, sag: Sag) -> Target:
+    """A board bent so; a marker, which is too small for that, as it is."""
+    return replace(target, sag=sag) if isinstance(target, Charuco | Chessboard) else target
 
 
 def parse_target(spec: str) -> Target:
@@ -296,6 +316,14 @@ def _marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)
+
+
+def _radius_px(corners: FloatArray, squares: float) -> int:
+    """How far around a board's corners `(N, 2)` to look, pixels: so many squares' sides."""
+    apart = np.linalg.norm(corners[:, None] - corners, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    side = float(np.quantile(apart.min(axis=1), 0.1))  # those far away or seen from the side are the smallest
+    return int(np.clip(squares * side, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
 
 
 def _grey(image: Image) -> Image:

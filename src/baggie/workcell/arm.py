@@ -45,7 +45,11 @@ class Arm(Protocol):
         ...
 
     def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
-        """Move straight down until the upward force exceeds `force_n` or the tool is at `z_min`; the pose reached."""
+        """Move straight down until something pushes the hand up with `force_n`, or the tool is at `z_min`; the pose
+        reached.
+
+        With `force_n` more than when it began, so that neither the hand's weight nor its load is felt.
+        """
         ...
 
     def move_gripper(self, width_m: float) -> float:

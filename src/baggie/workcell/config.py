@@ -12,18 +12,19 @@ from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
-from baggie.sim.bag import LONG_ASPECT, BagParameters
-from baggie.workcell.arm import Arm
+from baggie.sim.bag import BagParameters
+from baggie.workcell.arm import Arm, ArmInfo
 from baggie.workcell.calibrations import Calibrations
+from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.franka import FrankaArm
 from baggie.workcell.lerobot_arm import LeRobotArm
 from baggie.workcell.lerobot_link import open_robot
-from baggie.workcell.python_arm import open_python_arm
-from baggie.workcell.real import RealWorkcell
+from baggie.workcell.python_devices import open_python_arm, open_python_camera
+from baggie.workcell.real import RealWorkcell, let_go
 from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.simulated import SIMULATED_HANDLING, SimulatedWorkcell
+from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import (
     CalibrationFiles,
@@ -68,7 +69,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     bag = BagParameters(
         length_m=written.bag.length_m,
         width_m=written.bag.width_m,
-        shape="long" if written.bag.length_m >= LONG_ASPECT * written.bag.width_m else "square",
+        shape="long" if written.bag.long else "square",
         mass_kg=written.bag.mass_kg,
         color=written.bag.color,
     )
@@ -86,9 +87,10 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
             reach=_around(defaults.limits.reach, gate),
             **written.limits.model_dump(),
         ),
-        handling=written.handling,
+        handling=written.handled().handling,
         object_color=bag.color,
-        object_size_m=(bag.length_m, bag.width_m, defaults.object_size_m[2]),
+        object_size_m=written.bag.thing.size_m,
+        object_hard=written.bag.hard,
         object_symmetry=bag.symmetry,
         sure_within_m=written.sure_within_m,
     )
@@ -96,17 +98,34 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
     if isinstance(entry, SimulatedEntry):
-        if "handling" not in written.model_fields_set:
-            settings = replace(settings, handling=SIMULATED_HANDLING)
         return SimulatedWorkcell(written.cell, settings, bag, picture_size=written.picture_size)
     arm = _open_arm(entry, path.parent)
-    if settings.handling.open_width_m > arm.info.max_width_m:
-        raise BaggieError(
-            f"{path}: handling.open_width_m is {settings.handling.open_width_m:g}, the gripper of {arm.info.name} "
-            f"opens to {arm.info.max_width_m:g}; lower it"
-        )
-    assert isinstance(written.camera, CameraSettings)  # or the file would have been refused
-    return RealWorkcell(arm, open_camera(written.camera), settings)
+    try:
+        check_handled(written, path, arm.info)
+        assert isinstance(written.camera, CameraSettings | PythonEntry)  # or the file would have been refused
+        camera = _open_camera(written.camera, path.parent)
+    except BaggieError:
+        let_go(arm)
+        raise
+    return RealWorkcell(arm, camera, replace(settings, handling=written.handled(arm.info).handling))
+
+
+def check_handled(written: WorkcellFile, path: Path, arm: ArmInfo) -> None:
+    """Raise `BaggieError` for a handling that this arm, which the file `path` names, cannot do."""
+    if line := written.contradiction(arm):
+        raise BaggieError(f"{path}: {line}")
+
+
+def arm_of(written: WorkcellFile, path: Path) -> ArmInfo | None:
+    """What the arm that is `written` in the file `path` can do, nothing connected; None for one that is not real.
+
+    Raises `BaggieError` where it cannot be made here.
+    """
+    if not isinstance(written.arm, FrankaEntry | LeRobotEntry | PythonEntry):
+        return None
+    arm = _open_arm(written.arm, path.parent)
+    let_go(arm)
+    return arm.info
 
 
 def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> Arm:
@@ -118,6 +137,12 @@ def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> 
     options = {name: value for name, value in given.items() if value is not None} | entry.options
     model = folder / entry.model
     return LeRobotArm(open_robot(entry.type, options), entry.model_copy(update={"model": model}))
+
+
+def _open_camera(entry: CameraSettings | PythonEntry, folder: Path) -> Camera:
+    if isinstance(entry, PythonEntry):
+        return open_python_camera(entry.factory, entry.model_extra or {}, folder)
+    return open_camera(entry)
 
 
 def _around(a: Rectangle, b: Rectangle) -> Rectangle:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import is_dataclass
 from pathlib import Path
 from typing import get_args
@@ -19,6 +20,11 @@ Place = tuple[int | str, ...]
 def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel]) -> str:
     """The first error in `text`, which `path` contains and `model` refused, as one line."""
     first = error.errors()[0]
+    wrong = first["msg"].removeprefix("Value error, ")
+    if not first["loc"] and (
+        said := re.match(r"(\w+)\.(\w+) is ", wrong)
+    ):  # entries that contradict each other
+        return f"{path}, line {_find(text, said.groups())[0]}: {wrong}"
     of_no_kind = first["type"] == "union_tag_invalid"
     line, entry, node = _find(text, (*first["loc"], "kind") if of_no_kind else first["loc"])
     where = f"{path}, line {line}: {entry}"
@@ -28,7 +34,6 @@ def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel
     if first["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
         known = ", ".join(_entries(_section(model, first["loc"][:-1])))
         return f"{where}: there is no such entry; take it out, or give one of {known}"
-    wrong = first["msg"].removeprefix("Value error, ")
     if first["type"] in {"missing", "value_error"}:  # what came is the whole section
         return f"{where}: {wrong}"
     came = first["input"]

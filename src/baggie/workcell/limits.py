@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +47,12 @@ class GuardedArm:
     def __init__(self, arm: Arm, limits: Limits) -> None:
         self._arm = arm
         self.limits = limits
-        self.info: ArmInfo = arm.info
+        self.info: ArmInfo = replace(
+            arm.info,
+            max_speed_m_s=min(arm.info.max_speed_m_s, limits.max_speed_m_s),
+            max_force_n=min(arm.info.max_force_n, limits.max_grasp_force_n),
+        )
+        """What it can do here."""
         self.watchdog: Watchdog | None = None
         """Given one, motions are stopped when it barks; then they raise `BarkError`."""
 
@@ -67,6 +72,10 @@ class GuardedArm:
                 f"{name} position x {pose.x:.3f}, y {pose.y:.3f} m is outside the workspace ({area}); "
                 "choose a place inside or widen the workspace in the workcell file"
             )
+
+    def at_most(self, speed_m_s: float) -> float:
+        """The speed, metres a second, or the fastest that arm and limits allow, where that is less."""
+        return min(speed_m_s, self.info.max_speed_m_s)
 
     def pose(self) -> ToolPose:
         """Where the tool is now."""
@@ -108,9 +117,7 @@ class GuardedArm:
 
     def grasp(self, force_n: float) -> float:
         """`Arm.grasp`, if the gripper may squeeze that hard."""
-        self._check_at_most(
-            "grasp force", force_n, min(self.limits.max_grasp_force_n, self.info.max_force_n), "N"
-        )
+        self._check_at_most("grasp force", force_n, self.info.max_force_n, "N")
         with self._motion():
             return self._arm.grasp(force_n)
 
@@ -164,9 +171,7 @@ class GuardedArm:
             raise
 
     def _check_speed(self, speed_m_s: float) -> None:
-        self._check_at_most(
-            "speed", speed_m_s, min(self.limits.max_speed_m_s, self.info.max_speed_m_s), "m/s"
-        )
+        self._check_at_most("speed", speed_m_s, self.info.max_speed_m_s, "m/s")
 
     @staticmethod
     def _check_at_most(name: str, value: float, highest: float, unit: str) -> None:

@@ -8,8 +8,8 @@ from typing import Protocol, runtime_checkable
 
 from baggie.errors import BaggieError
 from baggie.workcell.arm import Arm
+from baggie.workcell.camera import Camera
 from baggie.workcell.cameras.live import LiveCamera
-from baggie.workcell.cameras.opening import OpenCamera
 from baggie.workcell.watchdog import Watchdog
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -24,7 +24,7 @@ class RealWorkcell(Workcell):
 
     repeatable = False
 
-    def __init__(self, arm: Arm, camera: OpenCamera, settings: WorkcellSettings) -> None:
+    def __init__(self, arm: Arm, camera: Camera, settings: WorkcellSettings) -> None:
         super().__init__(arm, camera, settings)
         if isinstance(camera, LiveCamera):
             self.arm.watchdog = Watchdog(camera.silent_s, camera.frame_timeout_s, camera.name)
@@ -56,7 +56,12 @@ class RealWorkcell(Workcell):
         return self._epoch + time.monotonic()
 
     def close(self) -> None:
-        """Let go of the camera, and of an arm that has a `close`."""
-        for device in self._devices:
-            if isinstance(device, _Closable):
-                device.close()
+        """Let go of arm and camera, each if it has a `close`."""
+        let_go(*self._devices)
+
+
+def let_go(*devices: object) -> None:
+    """Close those that have a `close`."""
+    for device in devices:
+        if isinstance(device, _Closable):
+            device.close()

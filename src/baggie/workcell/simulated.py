@@ -16,15 +16,12 @@ from baggie.sim.layout import lay_bags
 from baggie.sim.variety import Scenery, Variety, draw_variety
 from baggie.sim.world import World
 from baggie.vision.targets import Target
+from baggie.workcell.handling_rules import SIMULATED_HANDLING
 from baggie.workcell.mujoco_workcell import MujocoWorkcell
-from baggie.workcell.primitives import Handling
 from baggie.workcell.simulated_arm import SimulatedArm
 from baggie.workcell.simulated_camera import SimulatedCamera
 from baggie.workcell.workcell import WorkcellSettings
 
-SIMULATED_HANDLING = Handling(land_force_n=3.0)
-"""The simulated wrist feels no cloth, only how its load swings: bags are pressed flat whatever this is. It stays what
-it was, so that attempts of a seed do, too."""
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
 

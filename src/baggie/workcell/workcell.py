@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _SAME_WIDTH_M = 0.003
 """Fingers that let go stand so near to where they were sent."""
+_OPEN_M = 0.005
+"""A hand that is so near to as wide as it opens is empty: what it goes over is narrower by more."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class WorkcellSettings:
     object_color: tuple[int, int, int] = (196, 40, 44)
     object_size_m: tuple[float, float, float] = (0.12, 0.12, 0.03)
     """Length, width and resting height."""
+    object_hard: bool = False
+    """Whether the hand goes over it, and so grips it by its middle or not at all."""
     object_symmetry: int = 4
     """How many times a turn it looks the same about its middle, by which it is picked; 0 for at any angle. With 1, of
     what has no symmetry or is picked elsewhere, yaws are carried out as they are said."""
@@ -164,11 +168,13 @@ class Workcell:
         return True
 
     def _holds(self) -> bool:
-        """Whether the hand seems to hold something: it is neither shut nor as wide as where it lets go."""
+        """Whether the hand seems to hold something: it is neither shut, nor open, nor as wide as where it lets go."""
         h, width = self.settings.handling, self.arm.gripper_width()
-        if h.release_width_m > h.empty_width_m:
-            return h.empty_width_m < width < h.release_width_m - _SAME_WIDTH_M
-        return h.empty_width_m < width  # of a suction cup, which is as wide as that only while it holds
+        if width <= h.empty_width_m:
+            return False
+        if h.open_width_m <= h.empty_width_m:  # a suction cup, which is as wide as that only while it holds
+            return True
+        return abs(width - h.release_width_m) > _SAME_WIDTH_M and width < h.open_width_m - _OPEN_M
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,20 +18,22 @@ from pydantic import (
 )
 
 from baggie.errors import BaggieError
-from baggie.ranges import Color, Seed
+from baggie.ranges import Seed
 from baggie.sim.cell import LARGEST_SIDE, PICTURE_SIZE, SMALLEST_SIDE
 from baggie.text_files import parse_yaml, read_text
+from baggie.workcell.arm import ArmInfo
+from baggie.workcell.bag_entry import Bag, HandlingEntry
 from baggie.workcell.cameras.settings import CameraSettings
 from baggie.workcell.entries import Metres, Section, Words
 from baggie.workcell.file_errors import explain
 from baggie.workcell.franka_models import ModelName
+from baggie.workcell.handling_rules import SIMULATED_HANDLING, Handled, contradiction, handled
 from baggie.workcell.lerobot_settings import LeRobotSettings
+from baggie.workcell.limits import Limits
 from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell import WorkcellSettings
 
 _LIMITS = WorkcellSettings().limits
-_WIDEST_M = 0.5
-"""No two fingers open further."""
 
 
 class SimulatedEntry(Section):
@@ -73,13 +77,14 @@ class LeRobotEntry(LeRobotSettings):
 
 
 class PythonEntry(BaseModel):
-    """An arm of one's own. Every other entry is an option of its factory."""
+    """An arm, or a camera, of one's own. Every other entry is an option of its factory."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     kind: Literal["python"]
     factory: str = Field(pattern=r"^[\w.]+:\w+$")
-    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`, or a `Camera`; the module may be in the file's
+    own folder."""
 
 
 REAL_ARMS = (FrankaEntry, LeRobotEntry, PythonEntry)
@@ -102,7 +107,7 @@ def _camera_kind(entry: Any) -> Any:
     """The entry with its kind: `camera: 0` for short, and a section with a width or a height is a simulated one's."""
     if isinstance(entry, (str, int)) and not isinstance(entry, bool):
         return CameraSettings.from_words(str(entry))
-    if isinstance(entry, dict) and "kind" not in entry:
+    if isinstance(entry, Mapping) and "kind" not in entry:
         return {"kind": "sim" if {"width", "height"} & entry.keys() else "opencv", **entry}
     return entry
 
@@ -114,7 +119,7 @@ ArmEntry = Annotated[
     BeforeValidator(_kind_alone),
 ]
 CameraEntry = Annotated[
-    Annotated[SimulatedCameraEntry | CameraSettings, Field(discriminator="kind")],
+    Annotated[SimulatedCameraEntry | CameraSettings | PythonEntry, Field(discriminator="kind")],
     BeforeValidator(_camera_kind),
 ]
 
@@ -145,15 +150,6 @@ class LimitsEntry(Section):
     max_grasp_force_n: float = Field(_LIMITS.max_grasp_force_n, gt=0, le=500)
 
 
-class Bag(Section):
-    """The bag: in a simulated cell all of it, for a real one its size and colour."""
-
-    length_m: float = Field(0.12, gt=0.06, lt=0.2)
-    width_m: float = Field(0.12, gt=0.06, lt=0.2)
-    mass_kg: float = Field(0.2, gt=0.02, lt=1.0)
-    color: Color = (196, 40, 44)
-
-
 class CalibrationFiles(Section):
     """Where the calibrations are, from the workcell file's own folder. Each is refused for another camera."""
 
@@ -173,58 +169,39 @@ class WorkcellFile(Section):
     """Of a simulated workcell."""
     workspace: Bounds = Bounds()
     limits: LimitsEntry = LimitsEntry()
-    handling: Handling = Handling()
-    """Heights, forces and speeds of pick and place."""
+    handling: HandlingEntry = HandlingEntry()
+    """Heights, forces and speeds of pick and place, as far as they do not follow from the bag and the gripper."""
     bag: Bag = Bag()
     calibrations: CalibrationFiles = CalibrationFiles()
     sure_within_m: Metres = Field(WorkcellSettings().sure_within_m, gt=0)
     """Nothing moves when a plan's pick or place is not known within this, nine times of ten."""
 
+    @property
+    def gate(self) -> Limits:
+        """The limits; where, around the workspace, `config` says."""
+        return replace(WorkcellSettings().limits, **self.limits.model_dump())
+
+    def handled(self, arm: ArmInfo | None = None) -> Handled:
+        """How the bag is handled, by this arm; a simulated cell's always as it always was."""
+        simulated = isinstance(self.arm, SimulatedEntry)
+        usual, thing = (SIMULATED_HANDLING, Bag().thing) if simulated else (Handling(), self.bag.thing)
+        return handled(thing, self.gate, arm, self.handling.written, usual)
+
+    def contradiction(self, arm: ArmInfo | None = None) -> str | None:
+        """What in the handling contradicts the bag, the limits or this arm: one line, or None."""
+        return contradiction(self.handled(arm).handling, self.bag.thing, self.gate, arm)
+
     @model_validator(mode="after")
-    def _handled_within_limits(self) -> WorkcellFile:
-        limits, handling = self.limits, self.handling
-        for name, highest in (
-            ("fast_m_s", limits.max_speed_m_s),
-            ("feel_m_s", limits.max_speed_m_s),
-            ("carry_m_s", limits.max_speed_m_s),
-            ("touch_force_n", limits.max_contact_force_n),
-            ("land_force_n", limits.max_contact_force_n),
-            ("grasp_force_n", limits.max_grasp_force_n),
-        ):
-            value = getattr(handling, name)
-            if not 0 < value <= highest:
-                raise ValueError(
-                    f"handling.{name} is {value:g}, the limits allow up to {highest:g}; lower it"
-                )
-        for name in ("travel_z_m", "approach_z_m"):
-            value = getattr(handling, name)
-            if not limits.z_min_m <= value <= limits.z_max_m:
-                raise ValueError(
-                    f"handling.{name} is {value:g}, the limits allow {limits.z_min_m:g} to {limits.z_max_m:g}; "
-                    "change it"
-                )
-        if not min(handling.pick_z_m, handling.place_z_m) >= limits.z_min_m:
-            raise ValueError(
-                f"handling.pick_z_m and place_z_m are {handling.pick_z_m:g} and {handling.place_z_m:g}, the limits "
-                f"allow no less than {limits.z_min_m:g}; raise them"
-            )
-        for name, above in (("pick_z_m", "approach_z_m"), ("place_z_m", "travel_z_m")):
-            value, highest = getattr(handling, name), getattr(handling, above)
-            if value > highest:
-                raise ValueError(
-                    f"handling.{name} is {value:g}, the hand comes down from handling.{above}, {highest:g}; lower it"
-                )
-        for name in ("open_width_m", "release_width_m", "empty_width_m"):
-            value = getattr(handling, name)
-            if not 0 <= value <= _WIDEST_M:
-                raise ValueError(
-                    f"handling.{name} is {value:g}, expected metres from 0 to {_WIDEST_M:g}; change it"
-                )
+    def _handled_without_contradiction(self) -> WorkcellFile:
+        if isinstance(self.arm, SimulatedEntry):
+            self.bag.check_simulated()
+        if line := self.contradiction():
+            raise ValueError(line)
         return self
 
     @model_validator(mode="after")
     def _real_arms_need_real_cameras(self) -> WorkcellFile:
-        real = isinstance(self.camera, CameraSettings)
+        real = isinstance(self.camera, CameraSettings | PythonEntry)
         if isinstance(self.arm, REAL_ARMS) and not real:
             raise ValueError("a real arm needs a real camera; write `camera: 0`, or its device or address")
         if isinstance(self.arm, SimulatedEntry) and real:

@@ -17,7 +17,8 @@ from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, invert_transform
 from baggie.types import Image, Intrinsics
 from baggie.vision.picture_files import read_picture
-from baggie.vision.targets import Seen, Target, parse_target
+from baggie.vision.sag import FLAT, Sag
+from baggie.vision.targets import Seen, Target, parse_target, with_sag
 
 Mount = Literal["hand", "fixed"]
 """Where the camera is: on the hand, with the board fixed in the world, or fixed, with the board on the hand."""
@@ -254,7 +255,12 @@ class _Pictures:
                 self._folder, f"expected 0, 4, 5, 8, 12 or 14 distortion coefficients, got {len(distortion)}"
             )
         self._read_calibration(width, height, 4 + len(distortion))
-        return parse_target(str(self._content["board"])), Intrinsics(width, height, matrix, distortion)
+        try:
+            sag = Sag.from_yaml(self._content.get("sag")) or FLAT
+        except (KeyError, TypeError, ValueError):
+            _fail(self._folder, "expected along_m and across_m, metres, as sag")
+        board = with_sag(parse_target(str(self._content["board"])), sag)
+        return board, Intrinsics(width, height, matrix, distortion)
 
     def _read_calibration(self, width: int, height: int, parameters: int) -> None:
         """What our own recordings say besides: which camera it is, and how sure its lens is."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from baggie.calibration.intrinsics.board_views import BoardView
-from baggie.calibration.intrinsics.lens_bundle import DISTORTION, board_pose, rough_lens, search_lens, subset
+from baggie.calibration.intrinsics.lens_bundle import fit_lens
+from baggie.calibration.intrinsics.opencv_lens import DISTORTION, board_pose, rough_lens, search_lens, subset
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
@@ -54,20 +56,21 @@ def clean(views: Sequence[BoardView]) -> tuple[list[BoardView], list[tuple[str, 
 
 
 def agreeing(
-    views: Sequence[BoardView], size: tuple[int, int]
+    views: Sequence[BoardView], size: tuple[int, int], board: FloatArray
 ) -> tuple[list[BoardView], list[tuple[str, str]], Intrinsics]:
     """The views, without outlying corners, that agree on one lens; those that do not, with why; and that lens.
 
-    From the lens that most views are near to, found by drawing a few at a time (Fischler & Bolles, "Random Sample
-    Consensus", 1981), the lens with all terms is fitted again and again to what lies within four standard deviations
-    of it. Raises `CalibrationError` where no lens is determined.
+    `board` `(M, 3)` are all its corners, flat. From the lens that most views are near to, found by drawing a few at a
+    time (Fischler & Bolles, "Random Sample Consensus", 1981), the lens with all terms and the board's sag are fitted
+    again and again to what lies within four standard deviations of them. Raises `CalibrationError` where no lens is
+    determined.
     """
     seen = [view.seen for view in views]
-    lens = _near_most(seen, size)
+    lens, bent = _near_most(seen, size), list(seen)
     masks = [np.ones(len(view.ids), np.bool_) for view in seen]
     good = np.ones(len(seen), np.bool_)
-    for _ in range(_ROUNDS):
-        distances = [_distances(view, mask, lens) for view, mask in zip(seen, masks, strict=True)]
+    for number in range(_ROUNDS):
+        distances = [_distances(view, mask, lens) for view, mask in zip(bent, masks, strict=True)]
         before = [*masks, good]
         masks = _inliers(distances)
         errors = np.array([_rms(d[mask]) for d, mask in zip(distances, masks, strict=True)])
@@ -75,9 +78,12 @@ def agreeing(
         enough = np.array([mask.sum() >= max(MIN_CORNERS, 0.5 * len(mask)) for mask in masks])
         good = enough & (errors <= limit)
         kept = [subset(view, mask) for view, mask, agrees in zip(seen, masks, good, strict=True) if agrees]
-        if len(kept) < MIN_VIEWS or all(map(np.array_equal, before, [*masks, good])):
+        # The first lens is rough and its board flat: beside that, nothing may stand out.
+        if len(kept) < MIN_VIEWS or (number and all(map(np.array_equal, before, [*masks, good]))):
             break
-        lens, _ = search_lens(kept, size, DISTORTION, lens)
+        fit = fit_lens(kept, size, DISTORTION, lens, board)
+        lens = fit.intrinsics
+        bent = [replace(view, points=fit.sag.bend(view.points, board)) for view in seen]
     names = [view.name for view, agrees in zip(views, good, strict=True) if agrees]
     dropped = [
         (views[i].name, _why(masks[i], float(errors[i]), float(np.median(errors))))

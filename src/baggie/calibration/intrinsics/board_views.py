@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.intrinsics.lens_bundle import board_pose, guessed_lens, rough_lens
+from baggie.calibration.intrinsics.opencv_lens import board_pose, guessed_lens, rough_lens
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
 from baggie.types import Image, Intrinsics

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,15 @@ import numpy as np
 
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
 from baggie.calibration.intrinsics.factory import read_factory
-from baggie.calibration.intrinsics.lens_bundle import PARAMETERS
+from baggie.calibration.intrinsics.opencv_lens import PARAMETERS
 from baggie.geometry import FloatArray
 from baggie.types import Intrinsics
+from baggie.vision.sag import Sag
+from baggie.vision.targets import Target, with_sag
 
 _KIND = "intrinsics"
+_SEEN_STDS, _SEEN_M = 3.0, 0.5e-4
+"""A smaller sag is not spoken of, though it is counted in."""
 
 
 def _none() -> FloatArray:
@@ -58,6 +62,26 @@ class CameraCalibration:
     """The board, as `parse_target` reads it; empty from the factory."""
     source: str
     """What it was made from."""
+    sag: Sag | None = None
+    """How the board is bent; None from the factory, and in files from before it was fitted."""
+    sag_std: Sag | None = None
+    """One standard deviation of it."""
+    corner_noise_px: float | None = None
+    """What of `rms_px` goes from corner to corner: how exactly they were found. None where that is not known."""
+
+    def shaped(self, target: Target) -> Target:
+        """A target as it is bent, where it is the board that this camera was calibrated with; else as it is."""
+        return with_sag(target, self.sag) if self.sag and target.spec == self.target else target
+
+    @property
+    def board_shape(self) -> str | None:
+        """How the board is bent, in words; None where nobody knows."""
+        if self.sag is None or self.sag_std is None:
+            return None
+        found, std = (np.array([sag.along_m, sag.across_m]) for sag in (self.sag, self.sag_std))
+        if (np.abs(found) < np.maximum(_SEEN_STDS * std, _SEEN_M)).all():
+            return f"the board is flat (to {1000 * max(_SEEN_M, 2 * std.max()):.1f} mm)"
+        return f"the board sags by {self.sag}"
 
     @property
     def standard_deviations(self) -> dict[str, float]:
@@ -76,7 +100,9 @@ class CameraCalibration:
             "terms": list(self.terms),
             "rms_px": self.rms_px,
             "held_out_rms_px": self.held_out_rms_px,
+            "corner_noise_px": self.corner_noise_px,
             "standard_deviations": self.standard_deviations,
+            "board_shape": self.board_shape,
             "views": [{"view": v.name, "rms_px": v.rms_px, "corners": v.corners} for v in self.views],
             "dropped": [{"view": name, "why": why} for name, why in self.dropped],
             "warnings": list(self.warnings),
@@ -90,6 +116,8 @@ class CameraCalibration:
             "covariance_of": list(PARAMETERS) if self.covariance is not None else None,
             "covariance": self.covariance,
             "board": self.target,
+            "sag": None if self.sag is None else asdict(self.sag),
+            "sag_std": None if self.sag_std is None else asdict(self.sag_std),
             "source": self.source,
         }
         write_calibration(path, _KIND, content)
@@ -134,6 +162,9 @@ class CameraCalibration:
             warnings=tuple(map(str, content["warnings"])),
             target=str(content["board"]),
             source=str(content["source"]),
+            corner_noise_px=_number(content.get("corner_noise_px")),
+            sag=Sag.from_yaml(content.get("sag")),
+            sag_std=Sag.from_yaml(content.get("sag_std")),
         )
 
 

@@ -27,12 +27,14 @@ from baggie.calibration.intrinsics.board_views import (
     warnings_about,
 )
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, ViewError
+from baggie.calibration.intrinsics.corner_noise import corner_noise_px
 from baggie.calibration.intrinsics.lens_bundle import LensFit
 from baggie.calibration.intrinsics.lens_terms import ChosenLens, choose_lens
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.vision.picture_files import read_pictures
-from baggie.vision.targets import Seen, Target
+from baggie.vision.sag import FLAT, Sag
+from baggie.vision.targets import Seen, Target, with_sag
 
 __all__ = [
     "BoardView",
@@ -46,6 +48,9 @@ __all__ = [
 _WORST_RMS = 0.003
 """Of the picture's longer side: worse, and it is no pinhole camera, no flat board, or another board."""
 _USUAL_RMS_PX = 1.0
+_SMOOTH, _LEAST_NOISE_PX = 10.0, 0.01
+"""Further off than so many times the corners' noise, a fit explains not what was seen. Sharp corners in pictures with
+two grey levels of noise are found to a hundredth of a pixel (docs/results/bowed-boards.md)."""
 _UNSURE, _USELESS = 0.01, 0.05
 """Standard deviation of the focal length, relative."""
 _SQUARE, _FAR_FROM_SQUARE = 0.03, 0.1
@@ -78,34 +83,40 @@ def calibrate_intrinsics_from(source: Path, target: Target, camera_name: str) ->
 def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: Target) -> CameraCalibration:
     """The lens that explains the views that agree, with its covariance and its error on views it has not seen.
 
-    Distortion is OpenCV's five terms, those that are not needed at zero. The covariance has the corners' scatter in
-    it, taken as independent from corner to corner, and the doubt about the choice of terms.
+    Distortion is OpenCV's five terms, those that are not needed at zero. The board need not be flat: its sag is found
+    along. The covariance has the corners' scatter in it, taken as independent from corner to corner, the doubt about
+    the sag, and that about the choice of terms.
 
     Raises `CalibrationError` where fewer than four views agree, all are alike, or the lens is not determined.
     """
+    board = with_sag(target, FLAT).points
     cleaned, lost = clean(views)
     _check_enough(cleaned, lost, len(views))
-    kept, dropped, rough = agreeing(cleaned, camera.size)
+    kept, dropped, rough = agreeing(cleaned, camera.size, board)
     lost += dropped
     _check_enough(kept, lost, len(views))
     seen = [view.seen for view in kept]
-    chosen = choose_lens(seen, camera.size, rough)
+    chosen = choose_lens(seen, camera.size, rough, board)
     fit = chosen.fit
-    errors = tuple(_view_error(view, pose, fit) for view, pose in zip(kept, fit.poses, strict=True))
+    errors = tuple(_view_error(view, pose, fit, board) for view, pose in zip(kept, fit.poses, strict=True))
     rms = _rms(np.concatenate([error.residuals_px for error in errors]))
+    noise = corner_noise_px(seen, [error.residuals_px for error in errors])
     _check_trust(chosen, rms, seen, camera)
     return CameraCalibration(
         camera=camera,
         intrinsics=fit.intrinsics,
-        covariance=chosen.covariance,
+        covariance=chosen.covariance[:9, :9],
         terms=chosen.terms,
         rms_px=rms,
         held_out_rms_px=chosen.held_out_rms_px,
         views=errors,
         dropped=tuple(lost),
-        warnings=tuple(_warnings(chosen, rms, seen, camera)),
+        warnings=tuple(_warnings(chosen, rms, noise, seen, camera)),
         target=target.spec,
         source=f"{len(views)} pictures",
+        corner_noise_px=noise,
+        sag=fit.sag,
+        sag_std=Sag(*np.sqrt(np.diag(chosen.covariance)[9:]).tolist()),
     )
 
 
@@ -123,8 +134,9 @@ def _check_enough(views: Sequence[BoardView], lost: Sequence[tuple[str, str]], g
         )
 
 
-def _view_error(view: BoardView, pose: np.ndarray, fit: LensFit) -> ViewError:
-    residuals = residuals_px(pose, view.seen.points, view.seen.pixels, fit.intrinsics)
+def _view_error(view: BoardView, pose: np.ndarray, fit: LensFit, board: np.ndarray) -> ViewError:
+    points = fit.sag.bend(view.seen.points, board)
+    residuals = residuals_px(pose, points, view.seen.pixels, fit.intrinsics)
     return ViewError(view.name, _rms(residuals), len(residuals), view.seen.pixels, residuals)
 
 
@@ -160,7 +172,9 @@ def _check_trust(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: Cam
         )
 
 
-def _warnings(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: CameraIdentity) -> list[str]:
+def _warnings(
+    lens: ChosenLens, rms: float, noise: float | None, seen: Sequence[Seen], camera: CameraIdentity
+) -> list[str]:
     found = warnings_about(seen, lens.fit.poses, camera.size)
     unsure = _focal_uncertainty(lens)
     if unsure > _UNSURE:
@@ -175,5 +189,11 @@ def _warnings(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: Camera
         found.append(
             f"corners are {rms:.1f} pixels off (RMS), below {_USUAL_RMS_PX:.0f} is usual; is the board flat, are the "
             "pictures sharp?"
+        )
+    elif noise is not None and rms > _SMOOTH * max(noise, _LEAST_NOISE_PX):
+        found.append(
+            f"corners are {rms:.2f} pixels off (RMS), {rms / max(noise, _LEAST_NOISE_PX):.0f} times as far as they are "
+            f"found ({noise:.3f}), so something moves them together; is the board twisted or loose, are its sizes as "
+            "stated, did it or the camera move?"
         )
     return found

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.intrinsics.lens_bundle import LensFit, board_pose, fit_lens, search_lens, subset
+from baggie.calibration.intrinsics.lens_bundle import LensFit, LensGuess, fit_lens, settle_lens
+from baggie.calibration.intrinsics.opencv_lens import board_pose, subset
 from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
@@ -39,24 +40,26 @@ class ChosenLens:
     terms: tuple[str, ...]
     fit: LensFit
     covariance: FloatArray
-    """`(9, 9)`: that of the fit and the doubt about the terms; zero where a term is held."""
+    """`(11, 11)`: that of the fit and the doubt about the terms; zero where a term is held."""
     held_out_rms_px: float
     """Of corners in views the lens was not fitted to."""
 
 
-def choose_lens(seen: Sequence[Seen], size: tuple[int, int], start: Intrinsics) -> ChosenLens:
+def choose_lens(
+    seen: Sequence[Seen], size: tuple[int, int], start: Intrinsics, board: FloatArray
+) -> ChosenLens:
     """The lens with the fewest terms whose error on held-out views is not significantly above that of the best.
 
     Cross-validation in ten folds over views. Candidates are compared view by view: worse is one whose mean difference
     is above half of its standard error (after the one-standard-error rule of Hastie et al., "The Elements of
-    Statistical Learning", section 7.10). Raises `CalibrationError` where some of the views do not determine a lens.
+    Statistical Learning", section 7.10). Raises `CalibrationError` where the views do not determine a lens.
     """
-    errors = [_held_out(seen, size, terms, start) for terms in CANDIDATES]
+    fits = [fit_lens(seen, size, terms, start, board) for terms in CANDIDATES]
+    errors = [_held_out(seen, fit, terms, board) for fit, terms in zip(fits, CANDIDATES, strict=True)]
     best = errors[int(np.argmin([error.mean() for error in errors]))]
     worse = [error - best for error in errors]
     limits = [_TOLERANCE * difference.std(ddof=1) / np.sqrt(len(seen)) for difference in worse]
     chosen = next(i for i, (d, limit) in enumerate(zip(worse, limits, strict=True)) if d.mean() <= limit)
-    fits = [fit_lens(seen, size, terms, start) for terms in CANDIDATES]
     rms = float(np.sqrt(errors[chosen].mean()))
     return ChosenLens(CANDIDATES[chosen], fits[chosen], _with_doubt(fits, chosen), rms)
 
@@ -83,22 +86,22 @@ def _every_other(seen: Seen) -> NDArray[np.bool_]:
     return white if even else np.arange(len(white)) % 2 == 0
 
 
-def _held_out(
-    seen: Sequence[Seen], size: tuple[int, int], terms: Sequence[str], start: Intrinsics
-) -> FloatArray:
+def _held_out(seen: Sequence[Seen], fit: LensFit, terms: Sequence[str], board: FloatArray) -> FloatArray:
     """`(V,)` square pixels: the error of each view by a lens fitted to the others, a few views' far too great ones cut.
 
-    Of a board that is hardly in the picture, half of the corners may lie in one line and place it anywhere, or nowhere:
-    such a view takes no part.
+    `fit` is that to all of them, from which the others' is not far. Of a board that is hardly in the picture, half of
+    the corners may lie in one line and place it anywhere, or nowhere: such a view takes no part.
     """
     folds = min(_FOLDS, len(seen))
     errors = np.full(len(seen), np.nan)
     for fold in range(folds):
-        others = [view for i, view in enumerate(seen) if i % folds != fold]
-        lens, _ = search_lens(others, size, terms, start)
+        others = [i for i in range(len(seen)) if i % folds != fold]
+        kept, poses = [seen[i] for i in others], [fit.poses[i] for i in others]
+        without = settle_lens(kept, terms, LensGuess(fit.intrinsics, poses, fit.sag), board)
         for i in range(fold, len(seen), folds):
+            bent = replace(seen[i], points=without.sag.bend(seen[i].points, board))
             with suppress(CalibrationError):
-                errors[i] = held_out_error(seen[i], lens)
+                errors[i] = held_out_error(bent, without.intrinsics)
     usual = float(np.nanmedian(errors))
     return np.asarray(np.minimum(np.nan_to_num(errors, nan=usual), _MOST_TIMES * usual))
 
@@ -117,13 +120,8 @@ def _with_doubt(fits: Sequence[LensFit], chosen: int) -> FloatArray:
     )
     weights = np.exp((criterion.min() - criterion) / 2)
     free = np.diag(fits[chosen].covariance) > 0
-    total = np.zeros((9, 9))
+    total = np.zeros((11, 11))
     for weight, fit in zip(weights / weights.sum(), fits, strict=True):
-        away = _parameters(fit) - _parameters(fits[chosen])
+        away = fit.values - fits[chosen].values
         total += weight * (fit.covariance + np.outer(away, away))
     return total * np.outer(free, free)
-
-
-def _parameters(fit: LensFit) -> FloatArray:
-    """`(9,)` in the order of `PARAMETERS`."""
-    return np.concatenate([fit.intrinsics.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], fit.intrinsics.distortion])

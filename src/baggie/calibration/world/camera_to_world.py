@@ -23,6 +23,7 @@ from baggie.calibration.world.still_frames import StillFrames, average
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, difference, invert_transform
 from baggie.types import Intrinsics
+from baggie.vision.sag import FLAT, Sag
 from baggie.vision.targets import MIN_CORNERS, Chessboard, Marker, Seen, Target
 
 T_WORLD_TARGET: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -71,6 +72,8 @@ class CameraToWorld:
     depth_ratio: float | None
     """Depth measured over the target, over what the pose says; None without depth images."""
     warnings: tuple[str, ...]
+    sag: Sag = FLAT
+    """How the target was taken to be bent."""
 
     def summary(self) -> dict[str, Any]:
         """What a person or a script wants to know, ready for JSON."""
@@ -78,6 +81,7 @@ class CameraToWorld:
             "T_world_camera": self.pose.transform.tolist(),
             "uncertainty": {"std_mm": self.pose.std_mm, "std_deg": self.pose.std_deg},
             "target": self.target,
+            "sag": asdict(self.sag),
             "rms_px": self.rms_px,
             "corners": self.corners,
             "flipped_ratio": self.flipped_ratio,
@@ -118,6 +122,7 @@ class CameraToWorld:
                 float(content["flipped_ratio"]),
                 None if ratio is None else float(ratio),
                 tuple(map(str, content["warnings"])),
+                Sag.from_yaml(content.get("sag")) or FLAT,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise broken(path, _KIND, error) from None
@@ -138,6 +143,8 @@ def fit_camera_to_world(
     names: Sequence[str] = (),
 ) -> CameraToWorld:
     """Fit `T_world_camera` to a target seen in one or more pictures of a camera that stands still.
+
+    Of a board that sags the world is the plane through its outermost corners.
 
     Corners are averaged over the frames before the fit: what is wrong in all of them alike then shows in the
     residuals, and so in the uncertainty. `intrinsics_covariance` `(4 + D, 4 + D)` is that of fx, fy, cx, cy and the
@@ -182,6 +189,7 @@ def fit_camera_to_world(
         max(flipped_error, _EXACT_PX) / max(error, _EXACT_PX),
         depth_ratio,
         tuple(_warnings(target, judged, fit, pose_in_world, depth_ratio)),
+        target.sag,
     )
 
 
