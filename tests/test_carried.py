@@ -1,6 +1,7 @@
 """What demonstrations carry, whoever shows them: the thing is taught, wherever on it somebody happened to pick it."""
 
 import math
+import warnings
 from collections.abc import Sequence
 
 import cv2
@@ -9,9 +10,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from baggie.errors import BaggieWarning
 from baggie.grid import Grid
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves
+from baggie.learning.symmetry import check_symmetries, found_symmetries
 from baggie.learning.things import Things, place_belongs_to
 from baggie.learning.transporter import TransporterRecipe
 from baggie.vision.carried import Carried, middle_of, place_of, rotation, with_turn
@@ -85,6 +88,17 @@ def test_a_thing_is_told_from_what_it_stands_on(symmetry, yaw, turn, off, way):
     assert middle_of(carried.moved(places, turn)) == pytest.approx(place_of(middle, places, turn), abs=0.6)
 
 
+@given(angles, st.floats(-0.5, 0.5), st.floats(6.0, 20.0))
+def test_what_moved_by_less_than_its_size_is_found_whole(yaw, turn, by):
+    """Where it lay before and after alike, the maps are the same."""
+    middle = np.array([50.0, 60.0])
+    outline = (np.array([[-14, -9], [14, -9], [14, 9], [-14, 9]]) @ rotation(yaw).T) + middle
+    places = middle + np.array([[3.0, -2.0], [3.0 + by, -2.0]])
+    carried = Carried.between(drawn(outline), drawn(after(outline, places, turn)), places, turn)
+    assert carried is not None
+    assert carried.middle == pytest.approx(middle, abs=1.0)
+
+
 def test_what_was_not_carried_is_none():
     outline = shape(4, 8.0, 0.2, [38.0, 40.0])
     before, places = drawn(outline), np.array([[38.0, 40.0], [90.0, 85.0]])
@@ -153,6 +167,52 @@ def test_a_place_belongs_to_what_encloses_or_touches_the_thing_there_or_to_a_mar
     marked = color.copy()
     marked[98:103, 22:40] = (250, 240, 240)
     assert place_belongs_to(things, marked, elsewhere) == 0
+
+
+# --- how often it looks the same
+
+
+ELLIPSE = shape(0, 9.0, 0.0) * [1.0, 0.7]
+
+
+@pytest.mark.parametrize(
+    ("outline", "times"),
+    [
+        (shape(4, 8.0, 0.15), 4),
+        (shape(3, 9.0, 0.25), 3),
+        (shape(0, 9.0, 0.0), 0),
+        (ELLIPSE, 2),
+        (L_SHAPE, 1),
+    ],
+    ids=["square", "triangle", "disc", "ellipse", "L"],
+)
+def test_how_often_a_thing_looks_the_same_is_seen(outline, times):
+    rng = np.random.default_rng(times)
+    carried, colors = [], []
+    for _ in range(6):
+        found, _ = carried_at(outline @ rotation(rng.uniform(-3, 3)).T + rng.uniform(38, 44, 2), [40.0, 40.0])
+        carried.append(found)
+        colors.append(np.full((*GRID.shape, 3), TABLE, np.uint8))
+    symmetry = found_symmetries(np.stack(colors), carried)
+    assert symmetry.tolist() == [times] * 6
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_symmetries(symmetry, np.stack(colors), carried, "recorded")
+    if times == 1:
+        with pytest.warns(
+            BaggieWarning, match="look the same 4 times a turn, as the symmetry given says, got one"
+        ):
+            check_symmetries(np.full(6, 4), np.stack(colors), carried, "given")
+
+
+def test_a_mark_in_its_colours_makes_a_thing_look_another_way():
+    square = shape(4, 10.0, 0.15, [40.0, 40.0])
+    carried, _ = carried_at(square, [40.0, 40.0])
+    color = np.full((*GRID.shape, 3), TABLE, np.uint8)
+    assert found_symmetries(color[None], [carried]).tolist() == [4]
+    color[34:47, 34:39] = (250, 240, 30)
+    assert found_symmetries(color[None], [carried]).tolist() == [1]
+    assert found_symmetries(color[None], [None]).tolist() == [1]
 
 
 # --- what is taught

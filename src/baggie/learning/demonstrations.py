@@ -13,10 +13,11 @@ from baggie.data.annotation import shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray
 from baggie.grid import Grid
+from baggie.learning.symmetry import Origin, check_symmetries, found_symmetries
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.transporter.policy import UNKNOWN, Scale
 from baggie.types import Attempt
-from baggie.vision.carried import Carried, middle_of, place_of
+from baggie.vision.carried import Carried, place_of
 
 _NOT_TURNED_RAD = 1e-6
 _HIGHER_M = 0.05
@@ -45,6 +46,8 @@ class Demonstrations:
     """How goals are painted into the colours; None for a task that marks none."""
     carried: Sequence[Carried | None] = ()
     """N, what each carried; None where the maps do not tell. None at all unless given."""
+    symmetry_origin: Origin = "given"
+    """Who said how often things look the same."""
 
     def __post_init__(self) -> None:
         count = len(self.poses)
@@ -93,7 +96,7 @@ class Demonstrations:
     def scale(self) -> Scale:
         """How high things are picked, and how near to their places they land; `UNKNOWN` where the maps do not tell."""
         offs = [
-            float(np.linalg.norm(middle_of(each.lies) - place_of(each.middle, places, pose[5] - pose[2])))
+            each.stray_px(places, pose[5] - pose[2])
             for each, places, pose in zip(self.carried, self.places, self.poses, strict=False)
             if each is not None
         ]
@@ -152,10 +155,10 @@ def read_demonstrations(
 ) -> Demonstrations:
     """Attempts whose picture before is a height map, the commanded poses as labels.
 
-    `symmetry`: of all that is picked; as each attempt says unless given, 1 where it does not. `painted`: how goals are
-    painted, green patches by default; the task marks one where all attempts' objects were found in the picture after,
-    and none where none was. Raises `DataError` where a picture is a camera's own, grids differ, or only some attempts
-    have a goal.
+    `symmetry`: of all that is picked; as each attempt says unless given, found in the maps where none does, 1 where
+    those do not tell. `painted`: how goals are painted, green patches by default; the task marks one where all
+    attempts' objects were found in the picture after, and none where none was. Raises `DataError` where a picture is a
+    camera's own, grids differ, or only some attempts have a goal.
     """
     attempts = [dataset[i] for i in range(len(dataset))]
     if not attempts:
@@ -199,7 +202,16 @@ def read_demonstrations(
         goal_input,
     )
     carried = [_carried(attempt, places) for attempt, places in zip(attempts, shown.places, strict=True)]
-    return shown.only_carried(carried) if any(carried) else shown
+    if any(carried):
+        shown = shown.only_carried(carried)
+    said = [attempt.object_symmetry is not None for attempt in attempts]
+    origin: Origin = "given" if symmetry is not None else "recorded" if any(said) else "unknown"
+    if origin == "unknown" and shown.carried:
+        found = found_symmetries(shown.colors, shown.carried)
+        return replace(shown, symmetry=found, symmetry_origin="found")
+    if shown.carried:
+        check_symmetries(shown.symmetry, shown.colors, shown.carried, origin)
+    return replace(shown, symmetry_origin=origin)
 
 
 def _carried(attempt: Attempt, places: FloatArray) -> Carried | None:

@@ -82,8 +82,8 @@ class TrainOptions(Options):
     """transporter: `fast` is ours; `paper` has the published sizes and takes 200 times as long a map."""
     symmetry: Annotated[int, Interval(ge=0, le=360)] | None = None
     """transporter: how often a turn all that is picked looks the same, 4 for square blocks, 0 at any angle; as the
-    recording says unless given. Where it says nothing: by the boxes in a camera's pictures 4, or 2 where most are long;
-    else 1.
+    recording says unless given. Where it says nothing it is found in the maps before and after each step; by the boxes
+    in a camera's pictures 4, or 2 where most are long; else 1.
     """
     pick_yaw: bool = False
     """transporter: whether a gripper has to be turned to pick; a suction cup has not. Implied where it was turned."""

@@ -84,6 +84,8 @@ def train(
             f"these pictures of {width} x {height} were squeezed to {to_width} x {to_height} when they were recorded; "
             "the policy will squeeze what it sees alike"
         )
+    if isinstance(recipe, TransporterRecipe) and accelerator.is_main_process:
+        _say_symmetry(recipe)
     training = Training(
         recipe,
         options.out,
@@ -142,6 +144,14 @@ def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> T
         attempts = with_turns(attempts, np.random.default_rng(options.seed))
     shown = read_demonstrations(attempts, options.symmetry, painted)
     return TransporterRecipe(shown, chosen, rectifier)
+
+
+def _say_symmetry(recipe: TransporterRecipe) -> None:
+    times = recipe.policy.network.config.symmetry
+    looks = {0: "the same at any angle", 1: "the same only after a whole turn"}.get(
+        times, f"the same {times} times a turn"
+    )
+    Console(stderr=True).print(f"what is picked looks {looks} (symmetry {recipe.symmetry_origin})")
 
 
 def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[str, Any]:

@@ -86,9 +86,14 @@ class TransporterRecipe:
         self.policy = TransporterPolicy(
             network, shown.grid, shown.cell, shown.goal_input, rectifier, scale=shown.scale
         )
+        self.symmetry_origin = demonstrations.symmetry_origin
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
         self._maps = MovedMaps(demonstrations, options.moves, share)
-        self._symmetry = demonstrations.symmetry
+        beside = (
+            np.linalg.norm(demonstrations.middles - demonstrations.places[:, 0], axis=1) > _BESIDE_PICK_PX
+        )
+        # Held beside its middle, a thing that was turned otherwise has another place: then only the one shown is right.
+        self._symmetry = np.where(beside, config.symmetry, demonstrations.symmetry)
         self._batch = options.batch or _BATCH[options.preset]
         self.steps = _STEPS[options.preset]
 

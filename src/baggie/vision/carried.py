@@ -24,6 +24,8 @@ _NEAR_PX = 2.0
 """A pick so near to a thing is on it."""
 _STRAY_PX = 16.0
 """A thing that is held at its rim tilts, and slides into a bowl; what came to lie further away is another."""
+_EXACT_PX = 2.5
+"""Where a thing lies as it was put, its middle is told so exactly."""
 _ALIKE = 0.5
 """The smaller of both footprints, as a share of the other: from above, a thing is about as large here as there."""
 _CUP_PX = 3
@@ -58,11 +60,25 @@ class Carried:
         None where nothing was carried as it was said: it was missed or dropped, hardly moved, or is too flat to see.
         """
         lower = before - after
-        stood = _part_at(lower > CHANGED_M, places[0], _NEAR_PX)
+        seen = cls._of(lower > CHANGED_M, lower < -CHANGED_M, places, turn)
+        rows, columns = before.shape
+        u, v = np.clip(places[0].round().astype(int), 0, [columns - 1, rows - 1])
+        on_table = before[v, u] <= np.median(before[::4, ::4]) + CHANGED_M
+        if on_table or (seen is not None and seen.stray_px(places, turn) <= _EXACT_PX):
+            return seen
+        # Where it was before and after alike nothing has changed: with that, it may be found where it was to go.
+        same = (np.abs(lower) <= CHANGED_M) & (np.abs(before - before[v, u]) <= CHANGED_M)
+        whole = cls._of((lower > CHANGED_M) | same, (lower < -CHANGED_M) | same, places, turn)
+        exact = whole is not None and whole.stray_px(places, turn) <= _EXACT_PX
+        return whole if exact else seen
+
+    @classmethod
+    def _of(cls, gone: Mask, come: Mask, places: FloatArray, turn: float) -> Carried | None:
+        """What is gone `(H, W)` at the pick and has come near the place; None where the two are not one thing."""
+        stood = _part_at(gone, places[0], _NEAR_PX)
         if stood is None:
             return None
-        to = place_of(middle_of(stood), places, turn)
-        lies = _part_at(-lower > CHANGED_M, to, _STRAY_PX)
+        lies = _part_at(come, place_of(middle_of(stood), places, turn), _STRAY_PX)
         if lies is None:
             return None
         less, more = sorted((np.count_nonzero(stood), np.count_nonzero(lies)))
@@ -72,6 +88,10 @@ class Carried:
     def middle(self) -> FloatArray:
         """`(2,)` (u, v) pixels: of what it covered before."""
         return middle_of(self.stood)
+
+    def stray_px(self, places: FloatArray, turn: float) -> float:
+        """How far its middle came to lie from where a pick and a place `(2, 2)`, turned by `turn`, take it: pixels."""
+        return float(np.linalg.norm(middle_of(self.lies) - place_of(self.middle, places, turn)))
 
     def moved(self, places: FloatArray, turn: float) -> Mask:
         """`(H, W)`: what it covers once it is picked and placed at `places` `(2, 2)` and turned by `turn` radians."""
