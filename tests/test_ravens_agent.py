@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +22,9 @@ from baggie.data.ravens_convert import planar
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.grid import Grid
+from baggie.policies.transporter.config import TransporterConfig
+from baggie.policies.transporter.network import TransporterNet
+from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.types import Goal, Observation, PickPlace, Plan
 
 STEPS = len(ravens_scene.STARTS)
@@ -123,3 +127,66 @@ def test_the_example_says_what_it_needs() -> None:
     assert done.returncode == 1
     assert done.stderr.startswith("error: expected Ravens and PyBullet")
     assert done.stderr.count("\n") == 1
+
+
+STAND_IN = {
+    "__init__.py": "from ravens import agents\nfrom ravens import tasks\n",
+    "agents/__init__.py": "import tensorflow_is_not_here\n",
+    "tasks/__init__.py": """
+class Task:
+    max_steps = 2
+names = {"stack-block-pyramid": Task}
+""",
+    "environments/__init__.py": "",
+    "environments/environment.py": """
+import time
+import ravens_scene
+
+class Environment:
+    def __init__(self, assets, disp, shared_memory, hz):
+        pass
+    def seed(self, seed):
+        pass
+    def set_task(self, task):
+        pass
+    def reset(self):
+        return ravens_scene.observation(0)
+    def step(self, action):
+        began = time.time()
+        for _ in range(3):  # somebody else computes
+            time.sleep(0.05)
+            if time.time() - began > 0.1:
+                return ravens_scene.observation(0), 0.0, False, None
+        return ravens_scene.observation(0), 1.0, True, None
+""",
+}
+"""What the example needs of Ravens, whose package wants its agents' TensorFlow first, and gives up by the clock."""
+
+
+@pytest.mark.parametrize(
+    ("clock", "finished"), [("process", "finished 1 of 1, score 1.000"), ("wall", "finished 0")]
+)
+def test_the_example_needs_no_tensorflow_and_goes_by_its_own_clock(
+    tmp_path: Path, clock: str, finished: str
+) -> None:
+    for name, content in STAND_IN.items():
+        path = tmp_path / "ravens" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    TransporterPolicy(TransporterNet(TransporterConfig(rotations=8)), Grid(), 0).save_pretrained(
+        tmp_path / "run"
+    )
+    example = Path(baggie.__file__).parents[2] / "examples/ravens_agent.py"
+    words = ["--policy", tmp_path / "run", "--assets", tmp_path, "--episodes", "1", "--clock", clock]
+    paths = os.pathsep.join(
+        [str(tmp_path), str(Path(__file__).parent), str(Path(baggie.__file__).parents[1])]
+    )
+    done = subprocess.run(
+        [sys.executable, example, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.stdout.startswith(finished), done.stderr
+    assert ("motions give up by the time this process computes" in done.stderr) == (clock == "process")
