@@ -24,6 +24,7 @@ from typing import Any
 
 import tyro
 
+from baggie.data import open_dataset
 from baggie.evaluation.results import provenance, write_json, write_results
 from baggie.geometry import PlanarPose
 from baggie.lab.control import LabControl
@@ -139,14 +140,16 @@ def doctor(file: Path, control: LabControl) -> str:
 
 
 def collect(file: Path, control: LabControl, options: Options) -> str:
-    """Unattended."""
+    """Unattended; it goes on with what is there."""
     control.reset(options.seed)
     out = file.with_name(RECORDING)
+    there = len(open_dataset(out)) if out.exists() else 0
     found = answer(
         f"collect --workcell {file} --workers 1 --attempts {options.attempts} --seed {options.seed} --out {out}"
     )
     rate_per_minute = f"{found['attempts_per_minute']:.1f} a minute"
-    return f"{found['succeeded']} of {found['attempts']} attempts succeeded, {rate_per_minute}"
+    before = f", {there} of them before" if there else ""
+    return f"{found['succeeded']} of {found['attempts']} attempts succeeded{before}, {rate_per_minute}"
 
 
 def train(file: Path, options: Options) -> str:

@@ -156,6 +156,9 @@ class TurnedArm(FakeArm):
         super().__init__()
         self.off, self.sense, self.ends_rad = off, sense, ends_rad
 
+    def at_most(self, speed_m_s: float) -> float:
+        return speed_m_s
+
     def pose(self) -> ToolPose:
         return replace(self.tool, yaw=self.sense * (self.tool.yaw - self.off))
 

@@ -101,19 +101,14 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         return SimulatedWorkcell(written.cell, settings, bag, picture_size=written.picture_size)
     arm = _open_arm(entry, path.parent)
     try:
-        check_handled(written, path, arm.info)
+        if line := written.contradiction(arm.info):
+            raise BaggieError(f"{path}: {line}")
         assert isinstance(written.camera, CameraSettings | PythonEntry)  # or the file would have been refused
         camera = _open_camera(written.camera, path.parent)
     except BaggieError:
         let_go(arm)
         raise
     return RealWorkcell(arm, camera, replace(settings, handling=written.handled(arm.info).handling))
-
-
-def check_handled(written: WorkcellFile, path: Path, arm: ArmInfo) -> None:
-    """Raise `BaggieError` for a handling that this arm, which the file `path` names, cannot do."""
-    if line := written.contradiction(arm):
-        raise BaggieError(f"{path}: {line}")
 
 
 def arm_of(written: WorkcellFile, path: Path) -> ArmInfo | None:

@@ -106,7 +106,8 @@ class Workcell:
         if unsure:
             raise UnsureError(
                 f"expected a plan that is sure within {1000 * limit:.0f} mm, got {' and '.join(unsure)}; nothing was "
-                "moved: clear the view of the object and the goal, or raise sure_within_m in the workcell file"
+                "moved: clear the view of the object and the goal, collect more to learn from, or raise sure_within_m "
+                "in the workcell file"
             )
         return self.execute(plan.action)
 
