@@ -24,6 +24,8 @@ _HIGHER_M = 0.05
 """Above what was picked; an arm that hangs over the table is higher, and a thing on another is not."""
 _LANDS_PX = 2.5
 """Well placed, however exactly it was shown: maps tell the middle of a thing to a pixel."""
+_AS_EXACT_PX = 1.5
+"""A footprint of a dozen pixels tells a middle to half a pixel; whoever picks this near to it knew it better."""
 _MOST = 0.5
 """Of the demonstrations: where the maps tell of so many what was carried, they can tell it of all."""
 
@@ -118,8 +120,7 @@ class Demonstrations:
         poses = self.poses.copy()
         for number, carried in enumerate(self.carried):
             point = None if carried is None else carried.cup_point(self.heights[number])
-            if point is None:
-                continue
+            point = _better(point, self.places[number, 0])
             place = place_of(point, self.places[number], poses[number, 5] - poses[number, 2])
             rows, columns = self.grid.shape
             if ((place >= 0) & (place <= [columns - 1, rows - 1])).all():
@@ -138,16 +139,21 @@ class Demonstrations:
 
     @cached_property
     def middles(self) -> FloatArray:
-        """`(N, 2)` (u, v) pixels: of what was picked; the pick itself where the maps do not tell."""
+        """`(N, 2)` (u, v) pixels: of what was picked; the pick itself where the maps do not tell, or not better."""
         if not self.carried:
             return self.places[:, 0]
         known = zip(self.carried, self.places[:, 0], strict=True)
-        return np.stack([pick if carried is None else carried.middle for carried, pick in known])
+        return np.stack([_better(None if each is None else each.middle, pick) for each, pick in known])
 
     @property
     def turned_to_pick(self) -> bool:
         """Whether the hand was turned to pick, as one with fingers has to be; a suction cup picks at yaw 0."""
         return bool((np.abs(self.poses[:, 2]) > _NOT_TURNED_RAD).any())
+
+
+def _better(seen: FloatArray | None, pick: FloatArray) -> FloatArray:
+    """A point of a thing `(2,)` as a map shows it, or the pick, where that is it as nearly as maps can tell."""
+    return pick if seen is None or np.linalg.norm(seen - pick) <= _AS_EXACT_PX else seen
 
 
 def read_demonstrations(
