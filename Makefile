@@ -45,6 +45,8 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	$(BIN)/python benchmarks/pyramid_media.py
 	for benchmark in decision train_step transporter block_demonstrations demonstration_style rehearsal rehearsal_media landing; do \
 	    $(BIN)/python benchmarks/$$benchmark.py || exit; done
+	$(BIN)/python benchmarks/rehearsal.py --learn --size 640x480 --attempts 160 \
+	    --out runs/night-640x480 --results docs/results/night-640x480
 	$(BIN)/python benchmarks/handling_media.py
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py

@@ -1,7 +1,7 @@
 """The whole way of a real cell, over the robot's own network protocol, in the virtual lab.
 
     python benchmarks/rehearsal.py --policy runs/policies/cell-15/keypoint --cell 15
-    python benchmarks/rehearsal.py --learn --size 640x480 --attempts 60 --out runs/night-640x480 --results \
+    python benchmarks/rehearsal.py --learn --size 640x480 --attempts 160 --out runs/night-640x480 --results \
         docs/results/night-640x480
 
 Doctor, calibration, an unattended collection, and a policy: one that was trained on simulated data and never saw this
