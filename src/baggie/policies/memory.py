@@ -109,10 +109,10 @@ class Memory:
             self._corrections = 0
             return None
         to = place_of(carried.middle, asked.places, asked.turn)
-        off = middle_of(carried.lies) - to
+        off_px = carried.stray_px(asked.places, asked.turn)
         askew = _turned(carried.moved(asked.places, asked.turn), to, carried.lies)
         seen = np.count_nonzero(carried.lies) >= _ALIKE * np.count_nonzero(carried.stood)
-        if not seen or (np.linalg.norm(off) <= self._lands_within_px and abs(askew) <= _ASKEW_RAD):
+        if not seen or (off_px <= self._lands_within_px and abs(askew) <= _ASKEW_RAD):
             self._corrections = 0
             return None
         point = Carried(carried.lies, carried.lies).cup_point(observation.height)
