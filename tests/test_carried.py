@@ -11,13 +11,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieWarning
+from baggie.geometry import rotation
 from baggie.grid import Grid
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.symmetry import check_symmetries, found_symmetries
 from baggie.learning.things import Things, place_belongs_to
 from baggie.learning.transporter import TransporterRecipe
-from baggie.vision.carried import Carried, middle_of, place_of, rotation, with_turn
+from baggie.vision.carried import Carried, middle_of, place_of, with_turn
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
 """128 x 128 pixels."""

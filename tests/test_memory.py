@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose
+from baggie.geometry import PlanarPose, rotation
 from baggie.policies.memory import Memory, remembering
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import Scale, TransporterPolicy
 from baggie.types import Observation, PickPlace, Plan
-from baggie.vision.carried import middle_of, rotation
+from baggie.vision.carried import middle_of
 from test_carried import GRID, TABLE, after, drawn, shape
 
 PICK, PLACE = np.array([38.0, 40.0]), np.array([90.0, 85.0])

@@ -158,6 +158,12 @@ class Rectangle:
         return f"x {self.x_min:.2f}..{self.x_max:.2f} m, y {self.y_min:.2f}..{self.y_max:.2f} m"
 
 
+def rotation(angle: float) -> FloatArray:
+    """`(2, 2)`: a turn of the plane by `angle` radians, from its first axis towards its second."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
 def apply_homography(matrix: ArrayLike, points: ArrayLike) -> FloatArray:
     """Map points through a homography: `(3, 3)`, `(N, 2)` -> `(N, 2)`."""
     homogeneous = np.c_[np.atleast_2d(np.asarray(points, float)), np.ones(len(np.atleast_2d(points)))]

@@ -8,7 +8,7 @@ import numpy as np
 
 from baggie.commissioning.points import Find
 from baggie.errors import ReachError
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import FloatArray, PlanarPose, rotation
 from baggie.types import Image
 from baggie.workcell.workcell import Workcell
 
@@ -77,11 +77,6 @@ def _direction(moved: FloatArray, turned: FloatArray, width_px: int) -> float | 
         return None
     # The marker at the turned hand, less where it would be without the turn, is (R - R0) times where it is in the hand.
     shifts = (turned[:, 3:] - to_pixels[2]) @ np.linalg.inv(to_pixels[:2]) - turned[:, :2]
-    turns = [_turn(yaw) - _turn(moved[0, 2]) for yaw in turned[:, 2]]
+    turns = [rotation(yaw) - rotation(moved[0, 2]) for yaw in turned[:, 2]]
     in_hand, *_ = np.linalg.lstsq(np.vstack(turns), shifts.ravel(), rcond=None)
     return math.atan2(in_hand[1], in_hand[0])
-
-
-def _turn(yaw: float) -> FloatArray:
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s], [s, c]])

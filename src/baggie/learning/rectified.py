@@ -17,7 +17,7 @@ from baggie.data.appearance import object_mask, without_object
 from baggie.data.layout import CALIBRATION_FOLDER
 from baggie.data.shape import as_it_is, turned, with_shape
 from baggie.errors import DataError
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import PlanarPose, rotation
 from baggie.grid import Grid
 from baggie.learning.labels import directions
 from baggie.types import Attempt, PickPlace
@@ -106,11 +106,6 @@ def _turned(attempt: Attempt, rng: np.random.Generator) -> Attempt:
     return replace(
         attempt,
         before=before,
-        box_after=(attempt.box_after - about_goal) @ _rotation(angle).T + about_goal,
+        box_after=(attempt.box_after - about_goal) @ rotation(angle).T + about_goal,
         commanded=PickPlace(pick, PlanarPose(place.x, place.y, place.yaw + angle)),
     )
-
-
-def _rotation(angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s], [s, c]])

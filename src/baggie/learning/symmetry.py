@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.errors import BaggieWarning
+from baggie.geometry import rotation
 from baggie.types import Image
-from baggie.vision.carried import Carried, rotation
+from baggie.vision.carried import Carried
 
 Origin = Literal["given", "recorded", "found", "unknown"]
 """Who said it: a person, the recording, the maps, or nobody, so that nothing is taken to look the same."""

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.optim import Adam, Optimizer
 
 from baggie.calibration.image_to_robot.rectify import Rectifier
-from baggie.geometry import FloatArray, wrap_angle
+from baggie.geometry import FloatArray, rotation, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.recipe import Batch
@@ -25,7 +25,7 @@ from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.policies.transporter.scores import Scores
 from baggie.policies.transporter.soft_targets import PlaceAngle
 from baggie.types import Attempt
-from baggie.vision.carried import rotation, with_turn
+from baggie.vision.carried import with_turn
 
 _RATE = {"fast": 1e-3, "paper": 1e-4}
 _BATCH = {"fast": 4, "paper": 1}

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.geometry import FloatArray, PlanarPose, wrap_angle
+from baggie.geometry import FloatArray, PlanarPose, rotation, wrap_angle
 from baggie.types import Goal, Observation, PickPlace, Plan
-from baggie.vision.carried import CHANGED_M, Carried, changed_parts, middle_of, place_of, rotation
+from baggie.vision.carried import CHANGED_M, Carried, changed_parts, middle_of, place_of
 
 _BESIDE_PX = 25.0
 """What a carry may touch: so far from its way. What changed further away was somebody else."""

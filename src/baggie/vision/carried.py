@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, rotation
 
 Mask = NDArray[np.bool_]
 CHANGED_M = 0.004
@@ -135,12 +135,6 @@ def with_turn(places: FloatArray, turn: float, other: float, middle: FloatArray)
     had changed, wherever it is held.
     """
     return np.asarray(places[1] + (rotation(turn) - rotation(other)) @ (middle - places[0]))
-
-
-def rotation(angle: float) -> FloatArray:
-    """`(2, 2)`: a turn by `angle` radians, from u towards v."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def middle_of(mask: Mask) -> FloatArray:
