@@ -67,11 +67,22 @@ class MovedMaps:
     def __len__(self) -> int:
         return len(self._places)
 
-    def draw(self, rng: np.random.Generator, number: int) -> MovedMap:
-        """Demonstration `number`, moved at random; as it is where no move that was tried keeps pick and place in."""
-        moved = self._rearranged(rng, number) if rng.random() < self._share else None
+    def draw(
+        self, rng: np.random.Generator, number: int, size: tuple[int, int] | None = None
+    ) -> MovedMap | None:
+        """Demonstration `number`, moved at random, in a window of `size` (width, height) pixels; the whole map unless
+        given.
+
+        The whole map is as it is where no move that was tried keeps pick and place in; a window is None there.
+        """
+        rows, columns = self._shown.grid.shape
+        size = size or (columns, rows)
+        moved = self._rearranged(rng, number, size) if rng.random() < self._share else None
         if moved is None:
-            moved = self.moved(number, self._random_move(rng, self._places[number]))
+            move = random_move(rng, self._places[number], (columns, rows), self._moves, size)
+            if move is None and size != (columns, rows):
+                return None
+            moved = self.moved(number, np.eye(3) if move is None else move, size)
         if not self._moves.recolor:
             return moved
         gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
@@ -81,17 +92,17 @@ class MovedMaps:
         table = np.clip(levels, 0, 255).round().astype(np.uint8)
         return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
 
-    def _random_move(self, rng: np.random.Generator, places: FloatArray) -> FloatArray:
-        rows, columns = self._shown.grid.shape
-        return random_move(rng, places, (columns, rows), self._moves)
-
-    def _rearranged(self, rng: np.random.Generator, number: int) -> MovedMap | None:
+    def _rearranged(
+        self, rng: np.random.Generator, number: int, size: tuple[int, int]
+    ) -> MovedMap | None:
         """None where nothing stands alone, no room was found, or nothing tells what the place belongs to."""
         places, (things, at) = self._places[number], self._things(number)
         if at is None or not at.any():
             return None
         scene = Scene(self._shown.colors[number], self._shown.heights[number], places, at)
-        found = rearranged(rng, scene, things, self._random_move(rng, places[at == 0]))
+        rows, columns = self._shown.grid.shape
+        table_move = random_move(rng, places[at == 0], (columns, rows), self._moves, size)
+        found = None if table_move is None else rearranged(rng, scene, things, table_move, size)
         if found is None:
             return None
         turns = np.arctan2(found.moves[:, 1, 0], found.moves[:, 0, 0])
@@ -115,20 +126,24 @@ class MovedMaps:
             self._known[number] = things, at
         return self._known[number]
 
-    def moved(self, number: int, move: FloatArray) -> MovedMap:
-        """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels."""
+    def moved(self, number: int, move: FloatArray, size: tuple[int, int] | None = None) -> MovedMap:
+        """Demonstration `number` after a rigid motion of the plane: `(3, 3)`, pixels -> pixels.
+
+        `size` (width, height) pixels: of what is kept; the whole map unless given.
+        """
         rows, columns = self._shown.grid.shape
+        size = size or (columns, rows)
         color = cv2.warpPerspective(
             self._shown.colors[number],
             move,
-            (columns, rows),
+            size,
             flags=cv2.INTER_LINEAR,
             borderValue=self._table_color[number].tolist(),
         )
         height = cv2.warpPerspective(
             self._shown.heights[number],
             move,
-            (columns, rows),
+            size,
             flags=cv2.INTER_LINEAR,
             borderValue=float(self._table_height[number]),
         )
@@ -151,15 +166,30 @@ def rigid_move(turn: float, shift: FloatArray, size: tuple[int, int]) -> FloatAr
 
 
 def random_move(
-    rng: np.random.Generator, places: FloatArray, size: tuple[int, int], moves: Moves
-) -> FloatArray:
-    """A rigid motion that keeps `places` `(N, 2)` (u, v) pixels within the map; none where no try does."""
-    low, high = moves.margin_px, np.asarray(size) - 1 - moves.margin_px
-    if rng.random() < moves.share:
-        for _ in range(_TRIES):
+    rng: np.random.Generator,
+    places: FloatArray,
+    size: tuple[int, int],
+    moves: Moves,
+    window: tuple[int, int] | None = None,
+) -> FloatArray | None:
+    """A rigid motion that keeps `places` `(N, 2)` (u, v) pixels within the map of `size` (width, height) pixels, and
+    within a `window` of it: `(3, 3)`, pixels -> pixels of the window; None where no try does.
+
+    The whole map is the window unless given.
+    """
+    window = window or size
+    is_moved = rng.random() < moves.share
+    for _ in range(_TRIES if is_moved else 1):
+        move: FloatArray = np.eye(3)
+        if is_moved:
             turn = rng.uniform(-moves.turn_rad, moves.turn_rad)
             move = rigid_move(turn, rng.normal(0, moves.shift_px, 2), size)
-            there = apply_homography(move, places)
-            if (there >= low).all() and (there <= high).all():
-                return move
-    return np.eye(3)
+        there = apply_homography(move, places) if len(places) else places
+        first = np.maximum(there.max(axis=0, initial=-math.inf) + moves.margin_px + 1 - window, 0)
+        last = np.minimum(there.min(axis=0, initial=math.inf) - moves.margin_px, np.subtract(size, window))
+        first, last = np.ceil(first), np.floor(last)
+        if (first <= last).all():
+            corner = rng.integers(first.astype(int), last.astype(int) + 1)
+            move[:2, 2] -= corner
+            return move
+    return None

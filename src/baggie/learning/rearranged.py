@@ -55,16 +55,20 @@ class Rearranged(NamedTuple):
 
 
 def rearranged(
-    rng: np.random.Generator, scene: Scene, things: Things, table_move: FloatArray
+    rng: np.random.Generator,
+    scene: Scene,
+    things: Things,
+    table_move: FloatArray,
+    size: tuple[int, int] | None = None,
 ) -> Rearranged | None:
     """Every thing turned at random and put where there is room for it; None where no room is found for one.
 
     `things`: those of the scene. The table itself, and places on it, move by `table_move` `(3, 3)`; nothing is put down
-    where a place on the table is.
+    where a place on the table is. `size` (width, height) pixels: of the new map; as the old one unless given.
     """
     layers = np.dstack([scene.color, scene.height]).astype(np.float32)
     rows, columns = scene.height.shape
-    table = _Table(_warped(_bare(rng, layers, things), table_move, (columns, rows)))
+    table = _Table(_warped(_bare(rng, layers, things), table_move, size or (columns, rows)))
     reach = max((extent(things.mask(int(thing)))[1] for thing in scene.at[scene.at > 0]), default=0.0)
     for place in apply_homography(table_move, scene.places[scene.at == 0]):
         table.keep_free(place, reach)
@@ -104,7 +108,7 @@ class _Table:
 
         `places` `(N, 2)` (u, v) pixels on it stay on the map.
         """
-        rows, columns = mask.shape
+        rows, columns = self._taken.shape
         last = np.array([columns - 1, rows - 1]) - _MARGIN_PX
         middle, reach = extent(mask)
         for _ in range(_TRIES):
@@ -154,11 +158,13 @@ def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: Things)
     bare, missing = layers.copy(), things.surroundings > 0
     bare[missing] = np.median(layers[::4, ::4], axis=(0, 1))  # should nothing else be found
     free = ~missing
+    v, u = np.nonzero(missing)
     for _ in range(_ROLLS):
-        by = [int(rng.integers(side)) for side in free.shape]
-        take = missing & np.roll(free, by, (0, 1))
-        bare[take] = np.roll(layers, by, (0, 1))[take]
-        missing &= ~take
+        down, right = (int(rng.integers(side)) for side in free.shape)
+        there = v - down, u - right  # before the rim it goes on from the other side
+        take = free[there]
+        bare[v[take], u[take]] = layers[there[0][take], there[1][take]]
+        v, u = v[~take], u[~take]
     return bare
 
 

@@ -33,6 +33,7 @@ _STEPS = {"fast": 3200, "paper": 10_000}
 _REARRANGED = {"fast": 0.5, "paper": 0.0}
 _WARM_UP = 0.03
 """Of the training of `fast`."""
+_WINDOW = 160, 160
 _BESIDE_PICK_PX = 1.0
 """Largest error of a pick, along each axis, that the place learns to make up for."""
 _BESIDE_PLACE_PX = 4.0
@@ -114,13 +115,22 @@ class TransporterRecipe:
         place and turn that belong to that; `about` `(B, 2)`: where the fine look starts; and `symmetry` `(B,)`.
         """
         numbers = rng.integers(0, len(self._maps), self._batch)
-        samples = [self._sample(rng, int(number)) for number in numbers]
+        samples = self._samples(rng, numbers, _WINDOW) if self.options.preset == "fast" else None
+        samples = samples or self._samples(rng, numbers, None)
+        assert samples is not None
         stacked = {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
         batch = {name: torch.from_numpy(array) for name, array in stacked.items()}
         return {**batch, "symmetry": torch.from_numpy(self._symmetry[numbers])}
 
-    def _sample(self, rng: np.random.Generator, number: int) -> dict[str, NDArray[Any]]:
-        moved = self._maps.draw(rng, number)
+    def _samples(self, rng: np.random.Generator, numbers: NDArray[np.int64], size: tuple[int,int]|None) -> list[dict[str, NDArray[Any]]] | None:
+        samples=[]
+        for number in numbers:
+            moved = self._maps.draw(rng, int(number), size)
+            if moved is None: return None
+            samples.append(self._sample(rng, moved))
+        return samples
+
+    def _sample(self, rng: np.random.Generator, moved: MovedMap) -> dict[str, NDArray[Any]]:
         beside = rng.uniform(-_BESIDE_PICK_PX, _BESIDE_PICK_PX, 2)
         target = self._target(moved, beside)
         about = target[:2] + rng.uniform(-_BESIDE_PLACE_PX, _BESIDE_PLACE_PX, 2)

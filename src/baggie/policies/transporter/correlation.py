@@ -16,44 +16,46 @@ from torch.nn import functional as F
 Method = Literal["fft", "direct"]
 
 
-def correlate(features: Tensor, kernels: Tensor, method: Method = "fft") -> Tensor:
+def correlate(features: Tensor, kernels: Tensor, method: Method = "fft", margin: int = 0) -> Tensor:
     """Features `(B, C, H, W)`, of each R kernels `(B, R, C, k, k)` -> scores `(B, R, H, W)`.
 
     With the kernel's centre at row and column k // 2 (of an odd k the middle, of an even k the first after it):
 
         scores[b, r, v, u] = Σ over c, i, j of kernels[b, r, c, i, j] features[b, c, v + i - k // 2, u + j - k // 2]
 
-    and features outside the map are zero. `"fft"` multiplies spectra and agrees with `"direct"`, a grouped convolution,
+    and features outside the map are zero. Of the scores, `margin` cells at every side are left out. `"fft"` multiplies spectra and agrees with `"direct"`, a grouped convolution,
     to some 1e-6 of the greatest score, gradients too. `benchmarks/correlation.py` compares their speed.
     Raises `ValueError` when the shapes do not fit each other.
     """
     _check(features, kernels)
     # On a CPU the gradients of a channels-last convolution with kernels this large take some 20 times as long.
     features, kernels = features.contiguous(), kernels.contiguous()
-    return _spectral(features, kernels) if method == "fft" else _direct(features, kernels)
-
-
-def _direct(features: Tensor, kernels: Tensor) -> Tensor:
-    batch, rotations, _, size, _ = kernels.shape
-    before, after = size // 2, size - 1 - size // 2
+    size, shape = kernels.shape[-1], [n - 2 * margin for n in features.shape[-2:]]
+    before, after = size // 2 - margin, size - 1 - size // 2 - margin
+    if method == "fft":
+        # What wraps around meets the zeros put before the map: none are needed behind it.
+        return _spectral(F.pad(features, (before, min(after, 0)) * 2), kernels, shape)
     # Padded beforehand: the convolution's own padding takes a hundred times as long with kernels of 65 on a CPU.
-    padded = F.pad(features, (before, after, before, after)).flatten(0, 1).unsqueeze(0)
-    scores = F.conv2d(padded, kernels.flatten(0, 1), groups=batch)  # a group is a sample
-    return scores.view(batch, rotations, *features.shape[-2:])
+    return _direct(F.pad(features, (before, after) * 2), kernels, shape)
 
 
-def _spectral(features: Tensor, kernels: Tensor) -> Tensor:
-    """Channels are summed in the spectrum: one inverse transform a rotation.
+def _direct(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
+    """Scores `(B, R, *shape)` from the first pixel on where a kernel's first one can be."""
+    # A group is a sample.
+    scores = F.conv2d(features.flatten(0, 1).unsqueeze(0), kernels.flatten(0, 1), groups=len(kernels))
+    return scores.view(*kernels.shape[:2], *shape)
 
-    A circular correlation of length n + k // 2 is enough: what wraps around meets the zeros put before the map, and
-    what of a kernel is longer than that meets no feature. The two axes of the kernels and of the scores are transformed
-    one after the other, so that no row is that holds only padding or is not kept; with `rfft2` and the gradients it
-    takes twice as long.
+
+def _spectral(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
+    """The same, on a map that goes on at its other side. Channels are summed in the spectrum: one inverse transform a
+    rotation.
+
+    The two axes of the kernels and of the scores are transformed one after the other, so that no row is that holds only
+    padding or is not kept; with `rfft2` and the gradients it takes twice as long.
     """
-    height, width = features.shape[-2:]
-    before = kernels.shape[-1] // 2
-    rows, columns = (next_fast_len(n + before, real=True) for n in (height, width))
-    of_features = torch.fft.rfft2(F.pad(features, (before, 0, before, 0)), s=(rows, columns))
+    (height, width), size = shape, features.shape[-2:]
+    rows, columns = (next_fast_len(n, real=True) for n in size)
+    of_features = torch.fft.rfft2(features, s=(rows, columns))
     of_kernels = torch.fft.fft(torch.fft.rfft(kernels, columns), rows, dim=-2)
     of_scores = (of_features.unsqueeze(1) * of_kernels.conj()).sum(dim=2)
     kept = torch.fft.ifft(of_scores, dim=-2)[..., :height, :]

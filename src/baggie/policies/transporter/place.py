@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from baggie.policies.transporter import phases
 from baggie.policies.transporter.config import TransporterConfig
-from baggie.policies.transporter.correlation import correlate
+from baggie.policies.transporter.correlation import Method, correlate
 from baggie.policies.transporter.rotation import rotated_crops
 from baggie.policies.transporter.sampling import at_points, patches
 from baggie.policies.transporter.scores import Scores, turn_angles
@@ -34,6 +34,8 @@ _SEARCH = 6
 """Pixels the fine look looks around: one and a half cells of the coarse one."""
 _RIM = 2
 """Pixels at the rim of a patch that the fine look's convolutions know too little about."""
+_FEW_BINS = 18
+"""Of so many, a small patch is correlated sooner by spectra, with more by a convolution."""
 _FINE_WIDTH = 24
 _CONTEXT = 12
 """Channels of the trunk's features that the fine look sees beside the pixels."""
@@ -61,13 +63,8 @@ class Matching(nn.Module):
         kernels = rotated_crops(query[:, :CHANNELS], at, self.angles, self.crop)
         places = key[..., margin : key.shape[-2] - margin, margin : key.shape[-1] - margin]
         batch, _, height, width = places.shape
-        if margin > 0:
-            reach = slice(margin - self.crop // 2, margin + height - 1 + self.crop - self.crop // 2)
-            around = key[:, :CHANNELS, reach, reach].flatten(0, 1).unsqueeze(0)
-            matched = F.conv2d(around, kernels.flatten(0, 1), groups=batch).view(batch, -1, height, width)
-        else:
-            matched = correlate(places[:, :CHANNELS], kernels)
-        matched = matched / self.crop
+        method: Method = "direct" if margin > 0 and len(self.angles) > _FEW_BINS else "fft"
+        matched = correlate(key[:, :CHANNELS], kernels, method, margin) / self.crop
         if self.fold == 0:
             return matched
         q = at_points(query[:, CHANNELS:], at, 1).view(batch, self.orders, _OF_AN_ORDER, 2)
