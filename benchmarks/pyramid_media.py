@@ -61,7 +61,7 @@ def learned_from(run: Path) -> RgbImage:
     recording = open_dataset(Path(read_config(run)["training"]["data"]))
     maps = MovedMaps(read_demonstrations([recording[0]]), Moves(recolor=False), rearranged=1.0)
     rng = np.random.default_rng(0)
-    made = [maps.draw(rng, 0).color for _ in range(_MADE)]
+    made = [maps.draw(rng, [0])[0].color for _ in range(_MADE)]
     rim = np.full((recording[0].before.color.shape[0], _RIM_PX, 3), 255, np.uint8)
     return np.hstack([recording[0].before.color, rim, *made])
 

@@ -259,7 +259,7 @@ def test_what_is_learned_puts_the_thing_where_it_was_shown(seed, by_the_thing):
         recipe._maps = MovedMaps(shown, Moves(), 0.5)
     rng = np.random.default_rng(seed)
     for number in range(len(recipe._maps)):
-        moved = recipe._maps.draw(rng, number)
+        moved = recipe._maps.draw(rng, [number])[0]
         u, v, turn = recipe._target(moved, np.zeros(2))
         assert abs(turn) <= math.pi / 4 + 1e-9
         ends = place_of(moved.middle, np.array([moved.places[0], [u, v]]), turn)
@@ -276,5 +276,5 @@ def test_what_is_learned_puts_the_thing_where_it_was_shown(seed, by_the_thing):
 @given(st.integers(0, 10**6), st.integers(0, 3))
 def test_every_label_stays_on_the_map(seed, number):
     maps = MovedMaps(demonstrations(7.0, 3), Moves(), 1.0)
-    moved = maps.draw(np.random.default_rng(seed), number)
+    moved = maps.draw(np.random.default_rng(seed), [number])[0]
     assert ((moved.places >= 2) & (moved.places <= 125)).all()

@@ -104,7 +104,7 @@ def test_where_nothing_stands_out_scenes_move_as_wholes():
     for number in range(3):
         always, never = (MovedMaps(flat, Moves(), share) for share in (1.0, 0.0))
         rng, other = np.random.default_rng(number), np.random.default_rng(number)
-        one, whole = always.draw(rng, number), never.draw(other, number)
+        (one,), (whole,) = always.draw(rng, [number]), never.draw(other, [number])
         assert np.linalg.norm(np.diff(one.places, axis=0)) == pytest.approx(
             np.linalg.norm(np.diff(whole.places, axis=0))
         )
@@ -114,7 +114,7 @@ def test_what_is_drawn_rearranged_breaks_up_what_lay_together():
     """Distances and turns between pick and place are all over the map, and labels on it."""
     maps = MovedMaps(SHOWN, Moves(), 1.0)
     rng = np.random.default_rng(0)
-    drawn = [maps.draw(rng, 0) for _ in range(200)]
+    drawn = [maps.draw(rng, [0])[0] for _ in range(200)]
     apart = [float(np.linalg.norm(np.diff(sample.places, axis=0))) for sample in drawn]
     turns = [float(np.diff(sample.yaws)[0]) for sample in drawn]
     assert np.percentile(apart, 90) > 2 * np.percentile(apart, 10)

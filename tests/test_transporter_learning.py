@@ -89,10 +89,54 @@ def test_a_moved_scene_keeps_what_is_relative(turn, right, down, number):
 )
 def test_no_move_pushes_a_label_out(seed, places):
     moves, points = Moves(margin_px=2), np.array(places)
-    move = random_move(np.random.default_rng(seed), points, (96, 96), moves)
+    move = random_move(np.random.default_rng(seed), points, (96, 96), moves, (96, 96))
     there = apply_homography(move, points)
     assert ((there >= 2) & (there <= 93)).all()
     assert move[:2, :2] @ move[:2, :2].T == pytest.approx(np.eye(2))
+
+
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.tuples(st.floats(3, 92), st.floats(3, 92)), min_size=2, max_size=2),
+    st.tuples(st.integers(16, 96), st.integers(16, 96)),
+)
+def test_a_window_holds_every_label_or_there_is_none(seed, places, window):
+    moves, points = Moves(margin_px=2, shift_px=10), np.array(places)
+    move = random_move(np.random.default_rng(seed), points, (96, 96), moves, window)
+    if move is None:
+        assert (np.ptp(points, axis=0) > np.array(window) - 6).any() or (np.abs(points - 47.5) > 12).any()
+        return
+    there = apply_homography(move, points)
+    assert ((there >= 2 - 1e-9) & (there <= np.array(window) - 3 + 1e-9)).all()
+
+
+@given(st.integers(0, 1000), st.booleans())
+def test_samples_of_a_batch_are_windows_or_all_of_them_whole(seed, near):
+    """What is far apart fits no window: then the whole map is shown, so that a batch has one shape."""
+    shown = box_demonstrations(6, 0, grid=GRID)
+    side = 64 if near else 40
+    apart = np.linalg.norm(shown.places[:, 0] - shown.places[:, 1], axis=1)
+    drawn = MovedMaps(shown, Moves(), 0.0, (side, side)).draw(np.random.default_rng(seed), [0, 1, 2])
+    shapes = {moved.height.shape for moved in drawn}
+    assert len(shapes) == 1
+    assert shapes <= {(side, side), (96, 96)}
+    if (apart[:3] > side * math.sqrt(2)).any():
+        assert shapes == {(96, 96)}
+    for moved in drawn:
+        assert moved.color.shape[:2] == moved.height.shape
+        assert ((moved.places >= 0) & (moved.places <= moved.height.shape[0] - 1)).all()
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_window_shows_what_the_map_shows_there(number):
+    maps = MovedMaps(SHOWN, Moves())
+    whole = maps.moved(number, np.eye(3))
+    corner = np.array([[1.0, 0, -20], [0, 1, -30], [0, 0, 1]])
+    window = maps.moved(number, corner, (50, 40))
+    assert (window.color == whole.color[30:70, 20:70]).all()
+    assert (window.height == whole.height[30:70, 20:70]).all()
+    assert window.places == pytest.approx(whole.places - [20, 30])
+    assert window.middle == pytest.approx(whole.middle - [20, 30])
 
 
 @settings(deadline=None)
@@ -110,7 +154,7 @@ def test_held_beside_its_pick_a_thing_still_ends_where_it_was_shown(seed, symmet
     arrives = batch["target"][0, :2].numpy() + turned
     rng = np.random.default_rng(seed)
     number = int(rng.integers(0, 2, 1)[0])
-    shown = recipe._maps.draw(rng, number)
+    shown = recipe._maps.draw(rng, [number])[0]
     assert arrives == pytest.approx(shown.places[1], abs=1e-3)
     assert np.abs(batch["about"][0].numpy() - batch["target"][0, :2].numpy()).max() <= 4 + 1e-4
 

@@ -51,6 +51,22 @@ def scores_and_gradients(features, kernels, weights, method) -> list[torch.Tenso
     return [scores.detach(), *torch.autograd.grad((scores * weights).sum(), inputs)]
 
 
+@settings(deadline=None)
+@given(
+    st.sampled_from(METHODS),
+    st.integers(1, 9),
+    st.integers(1, 6),
+    seeds,
+    st.tuples(st.integers(7, 14), st.integers(7, 14)),
+)
+def test_a_margin_leaves_out_the_scores_at_every_side(method, size, margin, seed, shape):
+    features = drawn(seed, 2, 3, *(n + 6 for n in shape), dtype=torch.float64)
+    kernels = drawn(seed + 1, 2, 2, 3, size, size, dtype=torch.float64)
+    everywhere = correlate(features, kernels, "direct")
+    inner = everywhere[..., margin:-margin, margin:-margin]
+    assert torch.allclose(correlate(features, kernels, method, margin), inner)
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("height", "width", "size"), [(4, 5, 3), (5, 3, 4), (2, 3, 6)])
 def test_gradients_of_the_correlation(method, height, width, size):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -54,9 +55,17 @@ class MovedMap(NamedTuple):
 class MovedMaps:
     """Demonstrations as N maps to draw samples from. A sample is a function of the generator alone."""
 
-    def __init__(self, demonstrations: Demonstrations, moves: Moves, rearranged: float = 0.0) -> None:
-        """`rearranged`: the share of samples in which everything that stands alone is moved by itself."""
-        self._shown, self._moves, self._share = demonstrations, moves, rearranged
+    def __init__(
+        self,
+        demonstrations: Demonstrations,
+        moves: Moves,
+        rearranged: float = 0.0,
+        window: tuple[int, int] | None = None,
+    ) -> None:
+        """`rearranged`: the share of samples in which everything that stands alone is moved by itself. `window` (width,
+        height) pixels: of the map that a sample shows; all of it unless given.
+        """
+        self._shown, self._moves, self._share, self._window = demonstrations, moves, rearranged, window
         self._places = demonstrations.places
         self._yaws: FloatArray = demonstrations.poses[:, [2, 5]]
         self._known: dict[int, tuple[Things, NDArray[np.int32] | None]] = {}
@@ -67,41 +76,45 @@ class MovedMaps:
     def __len__(self) -> int:
         return len(self._places)
 
-    def draw(
-        self, rng: np.random.Generator, number: int, size: tuple[int, int] | None = None
-    ) -> MovedMap | None:
-        """Demonstration `number`, moved at random, in a window of `size` (width, height) pixels; the whole map unless
-        given.
+    def draw(self, rng: np.random.Generator, numbers: Sequence[int]) -> list[MovedMap]:
+        """Demonstrations `numbers`, each moved at random: all in windows of the map where all fit, else all whole.
 
-        The whole map is as it is where no move that was tried keeps pick and place in; a window is None there.
+        Whole maps are as they are where no move that was tried keeps pick and place in.
         """
         rows, columns = self._shown.grid.shape
-        size = size or (columns, rows)
+        whole = columns, rows
+        window = (
+            whole if self._window is None else (min(columns, self._window[0]), min(rows, self._window[1]))
+        )
+        moved = [self._drawn(rng, number, window) for number in numbers]
+        if window != whole and any(each is None for each in moved):
+            moved = [self._drawn(rng, number, whole) for number in numbers]
+        drawn = [
+            self.moved(number, np.eye(3)) if each is None else each
+            for number, each in zip(numbers, moved, strict=True)
+        ]
+        return [_recolored(rng, each) for each in drawn] if self._moves.recolor else drawn
+
+    def _drawn(self, rng: np.random.Generator, number: int, size: tuple[int, int]) -> MovedMap | None:
         moved = self._rearranged(rng, number, size) if rng.random() < self._share else None
         if moved is None:
-            move = random_move(rng, self._places[number], (columns, rows), self._moves, size)
-            if move is None and size != (columns, rows):
-                return None
-            moved = self.moved(number, np.eye(3) if move is None else move, size)
-        if not self._moves.recolor:
-            return moved
-        gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
-        bias = _BIAS * rng.uniform(-1, 1)
-        gamma = math.exp(_GAMMA * rng.uniform(-1, 1))
-        levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
-        table = np.clip(levels, 0, 255).round().astype(np.uint8)
-        return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
+            move = self._random_move(rng, self._places[number], size)
+            moved = None if move is None else self.moved(number, move, size)
+        return moved
 
-    def _rearranged(
-        self, rng: np.random.Generator, number: int, size: tuple[int, int]
-    ) -> MovedMap | None:
+    def _random_move(
+        self, rng: np.random.Generator, places: FloatArray, size: tuple[int, int]
+    ) -> FloatArray | None:
+        rows, columns = self._shown.grid.shape
+        return random_move(rng, places, (columns, rows), self._moves, size)
+
+    def _rearranged(self, rng: np.random.Generator, number: int, size: tuple[int, int]) -> MovedMap | None:
         """None where nothing stands alone, no room was found, or nothing tells what the place belongs to."""
         places, (things, at) = self._places[number], self._things(number)
         if at is None or not at.any():
             return None
         scene = Scene(self._shown.colors[number], self._shown.heights[number], places, at)
-        rows, columns = self._shown.grid.shape
-        table_move = random_move(rng, places[at == 0], (columns, rows), self._moves, size)
+        table_move = self._random_move(rng, places[at == 0], size)
         found = None if table_move is None else rearranged(rng, scene, things, table_move, size)
         if found is None:
             return None
@@ -157,6 +170,16 @@ class MovedMaps:
         )
 
 
+def _recolored(rng: np.random.Generator, moved: MovedMap) -> MovedMap:
+    """In slightly other light."""
+    gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
+    bias = _BIAS * rng.uniform(-1, 1)
+    gamma = math.exp(_GAMMA * rng.uniform(-1, 1))
+    levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
+    table = np.clip(levels, 0, 255).round().astype(np.uint8)
+    return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
+
+
 def rigid_move(turn: float, shift: FloatArray, size: tuple[int, int]) -> FloatArray:
     """A turn (radians, from u towards v) about the middle of a map of `(width, height)` pixels, then a shift `(2,)`
     (u, v) pixels: `(3, 3)`, pixels -> pixels, centres at integers.
@@ -170,14 +193,11 @@ def random_move(
     places: FloatArray,
     size: tuple[int, int],
     moves: Moves,
-    window: tuple[int, int] | None = None,
+    window: tuple[int, int],
 ) -> FloatArray | None:
     """A rigid motion that keeps `places` `(N, 2)` (u, v) pixels within the map of `size` (width, height) pixels, and
     within a `window` of it: `(3, 3)`, pixels -> pixels of the window; None where no try does.
-
-    The whole map is the window unless given.
     """
-    window = window or size
     is_moved = rng.random() < moves.share
     for _ in range(_TRIES if is_moved else 1):
         move: FloatArray = np.eye(3)

@@ -33,7 +33,9 @@ _STEPS = {"fast": 3200, "paper": 10_000}
 _REARRANGED = {"fast": 0.5, "paper": 0.0}
 _WARM_UP = 0.03
 """Of the training of `fast`."""
-_WINDOW = 160, 160
+_WINDOW = {"fast": (160, 160), "paper": None}
+"""Pixels of a map that are looked at in a step: empty table teaches little, and a step takes as long as they are many.
+"""
 _BESIDE_PICK_PX = 1.0
 """Largest error of a pick, along each axis, that the place learns to make up for."""
 _BESIDE_PLACE_PX = 4.0
@@ -89,7 +91,7 @@ class TransporterRecipe:
         )
         self.symmetry_origin = demonstrations.symmetry_origin
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
-        self._maps = MovedMaps(demonstrations, options.moves, share)
+        self._maps = MovedMaps(demonstrations, options.moves, share, _WINDOW[options.preset])
         beside = (
             np.linalg.norm(demonstrations.middles - demonstrations.places[:, 0], axis=1) > _BESIDE_PICK_PX
         )
@@ -115,20 +117,10 @@ class TransporterRecipe:
         place and turn that belong to that; `about` `(B, 2)`: where the fine look starts; and `symmetry` `(B,)`.
         """
         numbers = rng.integers(0, len(self._maps), self._batch)
-        samples = self._samples(rng, numbers, _WINDOW) if self.options.preset == "fast" else None
-        samples = samples or self._samples(rng, numbers, None)
-        assert samples is not None
+        samples = [self._sample(rng, moved) for moved in self._maps.draw(rng, numbers.tolist())]
         stacked = {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
         batch = {name: torch.from_numpy(array) for name, array in stacked.items()}
         return {**batch, "symmetry": torch.from_numpy(self._symmetry[numbers])}
-
-    def _samples(self, rng: np.random.Generator, numbers: NDArray[np.int64], size: tuple[int,int]|None) -> list[dict[str, NDArray[Any]]] | None:
-        samples=[]
-        for number in numbers:
-            moved = self._maps.draw(rng, int(number), size)
-            if moved is None: return None
-            samples.append(self._sample(rng, moved))
-        return samples
 
     def _sample(self, rng: np.random.Generator, moved: MovedMap) -> dict[str, NDArray[Any]]:
         beside = rng.uniform(-_BESIDE_PICK_PX, _BESIDE_PICK_PX, 2)

@@ -23,8 +23,9 @@ def correlate(features: Tensor, kernels: Tensor, method: Method = "fft", margin:
 
         scores[b, r, v, u] = Σ over c, i, j of kernels[b, r, c, i, j] features[b, c, v + i - k // 2, u + j - k // 2]
 
-    and features outside the map are zero. Of the scores, `margin` cells at every side are left out. `"fft"` multiplies spectra and agrees with `"direct"`, a grouped convolution,
-    to some 1e-6 of the greatest score, gradients too. `benchmarks/correlation.py` compares their speed.
+    and features outside the map are zero. Of the scores, `margin` cells at every side are left out. `"fft"` multiplies
+    spectra and agrees with `"direct"`, a grouped convolution, to some 1e-6 of the greatest score, gradients too.
+    `benchmarks/correlation.py` compares their speed.
     Raises `ValueError` when the shapes do not fit each other.
     """
     _check(features, kernels)
