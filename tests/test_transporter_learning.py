@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -289,6 +290,31 @@ def test_yaws_are_compared_modulo_the_symmetry_of_what_is_moved(tmp_path, given,
     policy = load_policy(tmp_path)
     val = [attempt for attempt in ATTEMPTS if attempt.attempt_id in policy.training["split"]["val"]]
     assert metrics["labels"] == measure(policy, val, compared)["labels"]
+
+
+@pytest.mark.parametrize(
+    ("given", "recorded", "kept"),
+    [
+        (4, (2, 2), {"origin": "given", "things": [4], "all": 4}),
+        (None, (2, 2), {"origin": "recorded", "things": [2], "all": 2}),
+        (None, (4, 2), {"origin": "recorded", "things": [2, 4], "all": 2}),
+    ],
+)
+def test_how_often_things_look_the_same_is_printed_and_kept(tmp_path, capsys, given, recorded, kept):
+    attempts = [
+        replace(attempt, object_symmetry=recorded[number % 2]) for number, attempt in enumerate(ATTEMPTS[:16])
+    ]
+    train(options(tmp_path, train=4, val=0, steps=1, symmetry=given), attempts)
+    assert load_policy(tmp_path).training["symmetry"] == kept
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"the same {kept['things'][0]} times a turn" in said
+    assert f"(symmetry {kept['origin']})" in said
+    # An older version kept it nowhere: its run goes on.
+    config = (tmp_path / "config.yaml").read_text()
+    older = yaml.safe_load(config)
+    del older["training"]["symmetry"]
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(older))
+    train(options(tmp_path, train=4, val=0, steps=1, symmetry=given), attempts)
 
 
 def test_an_interrupted_training_ends_in_the_same_weights(tmp_path, monkeypatch):

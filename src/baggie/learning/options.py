@@ -88,9 +88,9 @@ class TrainOptions(Options):
     pick_yaw: bool = False
     """transporter: whether a gripper has to be turned to pick; a suction cup has not. Implied where it was turned."""
     rearranged: Share | None = None
-    """transporter: the share of maps in which everything that stands alone is put elsewhere by itself: from few
-    demonstrations that teaches most. Give 0 where it matters how things lie to each other that are not picked.
-    By default half for fast, none for paper.
+    """transporter: the share of maps in which everything that stands alone is put elsewhere by itself, and a place
+    with what it belongs to: from few demonstrations that teaches most. Give 0 where which thing is meant depends on how
+    they lie to each other: the left one, the one beside the bowl. By default half for fast, none for paper.
     """
     save_every_s: NotNegative = 30.0
     """Seconds between saves of the state: what a kill can cost."""

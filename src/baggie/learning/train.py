@@ -40,6 +40,8 @@ from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.types import Attempt
 
 METRICS = "metrics.json"
+_LATELY = ("task", "labels", "symmetry")
+"""What older versions did not write down of a training."""
 
 
 def train(
@@ -67,6 +69,8 @@ def train(
     if isinstance(recorded, Dataset):
         recipe.policy.camera_size = recorded.camera_size
     recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
+    if isinstance(recipe, TransporterRecipe):
+        recipe.policy.training["symmetry"] = recipe.symmetry
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
@@ -147,11 +151,18 @@ def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> T
 
 
 def _say_symmetry(recipe: TransporterRecipe) -> None:
-    times = recipe.policy.network.config.symmetry
-    looks = {0: "the same at any angle", 1: "the same only after a whole turn"}.get(
-        times, f"the same {times} times a turn"
+    things = " or ".join(_looks(times) for times in recipe.symmetry["things"])
+    common = recipe.symmetry["all"]
+    of_all = "" if len(recipe.symmetry["things"]) == 1 else f"; all of it {_looks(common)}"
+    Console(stderr=True).print(
+        f"what is picked looks {things}{of_all} (symmetry {recipe.symmetry['origin']})"
     )
-    Console(stderr=True).print(f"what is picked looks {looks} (symmetry {recipe.symmetry_origin})")
+
+
+def _looks(times: int) -> str:
+    if times == 0:
+        return "the same at any angle"
+    return "the same only after a whole turn" if times == 1 else f"the same {times} times a turn"
 
 
 def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[str, Any]:
@@ -184,8 +195,8 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     path = options.out / checkpoint.CONFIG
     if path.exists():
         found, asked = checkpoint.read_config(options.out), policy.config()
-        # Older versions did not write these down: their run is taken for one of this task, attempts and camera.
-        unsaid = {name: asked["training"][name] for name in ("task", "labels")}
+        # An older version's run is taken for one of this task, these attempts and this camera.
+        unsaid = {name: asked["training"][name] for name in _LATELY if name in asked["training"]}
         found["training"] = unsaid | found.get("training", {})
         found["camera_size"] = asked["camera_size"]
         if found != asked:

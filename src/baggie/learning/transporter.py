@@ -89,7 +89,12 @@ class TransporterRecipe:
         self.policy = TransporterPolicy(
             network, shown.grid, shown.cell, shown.goal_input, rectifier, scale=shown.scale
         )
-        self.symmetry_origin = demonstrations.symmetry_origin
+        self.symmetry = {
+            "origin": demonstrations.symmetry_origin,
+            "things": np.unique(demonstrations.symmetry).tolist(),
+            "all": demonstrations.common_symmetry,
+        }
+        """Who said how often things look the same a turn, how often they do, and how often all of them do."""
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
         self._maps = MovedMaps(demonstrations, options.moves, share, _WINDOW[options.preset])
         beside = (
