@@ -12,7 +12,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import BaggieError, CameraError
 from baggie.geometry import PlanarPose
 from baggie.grid import Grid
-from baggie.seeds import COLLECTION, STYLE, generator
+from baggie.seeds import COLLECTION, EVALUATION, STYLE, generator
 from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
@@ -47,6 +47,19 @@ def bowls() -> Iterator[BlockWorkcell]:
 
 def test_its_camera_keeps_the_contract(pyramid: BlockWorkcell) -> None:
     check_camera(pyramid.camera)
+
+
+def test_a_hand_that_swings_on_its_way_down_feels_no_contact_in_the_air() -> None:
+    """Near the end of the wrist's range the elbow has to swing, and then all of the hand would jerk."""
+    cell = open_block_workcell("block-insertion", pictures=False)
+    cell.reset([EVALUATION, 0, 82])
+    outcome = cell.execute(
+        PickPlace(PlanarPose(0.41468, 0.316314, 0.0), PlanarPose(0.387997, -0.223895, 3.091883))
+    )
+    assert outcome.success
+    assert outcome.place_z_m is not None
+    assert outcome.place_z_m < 0.05  # the L is 4 cm high
+    cell.close()
 
 
 def finish(cell: BlockWorkcell) -> float:

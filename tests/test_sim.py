@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import gymnasium
@@ -19,6 +20,7 @@ from baggie.sim.scene import HOME, arm_spec
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import PickPlace
 from baggie.workcell.arm_contract import check_arm
+from baggie.workcell.arm_motions import JOINT_SPEED_LIMITS
 from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from baggie.workcell.workcell import WorkcellSettings
@@ -305,6 +307,26 @@ def test_a_path_that_would_leave_its_line_at_a_joint_limit_is_refused() -> None:
         kinematics._line(above, lower)
     reached = kinematics.tool_pose(kinematics.line(HOME, lower)[-1])  # by another way
     np.testing.assert_allclose(reached.xyz, lower.xyz, atol=5e-4)
+
+
+@given(st.floats(0.35, 0.6), st.floats(-0.3, 0.3), st.floats(-3.2, 3.2))
+def test_at_its_even_speed_the_tool_is_as_fast_all_along_a_path(x: float, y: float, yaw: float) -> None:
+    kinematics = Kinematics(arm_spec("cup").compile(), HOME)
+    try:
+        above = kinematics.line(HOME, ToolPose(x, y, 0.18, yaw))[-1]
+        path = kinematics.line(above, ToolPose(x, y, 0.0, yaw))
+    except ReachError:
+        return
+    even = kinematics.even_speed(path, JOINT_SPEED_LIMITS)
+    seconds = kinematics.shortest_times(path, even, JOINT_SPEED_LIMITS)
+    heights = np.array([kinematics.tool_pose(q).z for q in path])
+    lengths = [
+        np.linalg.norm(np.diff([kinematics.tool_pose(q).xyz for q in two], axis=0)) for two in pairwise(path)
+    ]
+    assert lengths / seconds == pytest.approx(even)
+    assert heights[0] - heights[-1] == pytest.approx(0.18, abs=1e-3)
+    rates = np.abs(np.diff(path, axis=0)) / seconds[:, None] / JOINT_SPEED_LIMITS
+    assert rates.max() == pytest.approx(1.0)  # faster, one joint would be too fast
 
 
 @given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-20, 20))

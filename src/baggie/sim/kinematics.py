@@ -159,6 +159,15 @@ class Kinematics:
         joints = (np.abs(np.diff(path, axis=0)) / joint_speeds_rad_s).max(axis=1)
         return np.asarray(np.maximum(np.maximum(tool, joints), 1e-6))
 
+    def even_speed(self, path: FloatArray, joint_speeds_rad_s: FloatArray) -> float:
+        """The highest speed, m/s, at which the tool can follow all of a joint path `(N, J)` evenly.
+
+        Along all of it no joint is faster then than `joint_speeds_rad_s` `(J,)`.
+        """
+        stretches = self.shortest_times(path, math.inf, joint_speeds_rad_s)
+        lengths = [float(np.linalg.norm(b.xyz - a.xyz)) for a, b in pairwise(map(self.tool_pose, path))]
+        return float(np.min(lengths / stretches))
+
     def approach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
         """Joint positions `(J,)` for `transform`, `T_base_hand` `(4, 4)`, a centimetre or so from those of `start`.
 

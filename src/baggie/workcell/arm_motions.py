@@ -66,6 +66,8 @@ class ArmMotions:
         start = self._kinematics.tool_pose(self._target)
         if start.z > z_min:
             path = self._kinematics.line(self._target, replace(start, z=z_min))
+            # Where a joint slows only a part of the way, the hand's own inertia would be felt as a contact.
+            speed_m_s = min(speed_m_s, self._kinematics.even_speed(path, JOINT_SPEED_LIMITS))
             tare = self._world.upward_force
             felt = self._drive(
                 path, speed_m_s, self.feel_period_s, lambda: self._world.upward_force - tare > force_n
