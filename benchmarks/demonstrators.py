@@ -89,7 +89,7 @@ def simulator(options: Options) -> None:
     notes = (
         "Each training has a seed and demonstrations of its own. Strict: every thing lies in a slot of its own when "
         "the episode ends, upright and so two seconds later; in brackets Wilson's 95% interval. Partial credit as "
-        "Ravens counts. Asked is what each training has to reach. Scenes are of the evaluation's own random stream. The "
+        "Ravens counts. Asked is what each training has to reach. Scenes are the evaluation's own. The "
         "last checkpoint by rule. Times are the wall clock's, with another training beside."
     )
     write(options, "simulator", "Transporters taught in other styles, in our simulator", rows, notes)
