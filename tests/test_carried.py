@@ -3,10 +3,12 @@
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +19,8 @@ from baggie.learning.demonstrations import Demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.symmetry import check_symmetries, found_symmetries
 from baggie.learning.things import Things, place_belongs_to
-from baggie.learning.transporter import TransporterRecipe
+from baggie.learning.transporter import TransporterOptions, TransporterRecipe
+from baggie.policies.transporter.config import TransporterConfig
 from baggie.vision.carried import Carried, middle_of, place_of, with_turn
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
@@ -271,6 +274,22 @@ def test_what_is_learned_puts_the_thing_where_it_was_shown(seed, by_the_thing):
         if ((right > 24) & (right < 104)).all():  # the ring is on the map, too
             lies = np.hypot(*(np.mgrid[:128, :128][::-1] - right[:, None, None])) < 8
             assert place_belongs_to(things, moved.color, lies)  # it came along
+
+
+@pytest.mark.parametrize(("off", "fold", "alike"), [(0.0, 4, [4, 4]), (5.0, 2, [2, 2])])
+def test_a_square_held_beside_its_middle_by_fingers_is_held_otherwise_after_a_quarter_turn(off, fold, alike):
+    shown = demonstrations(off, 1)
+    turned = replace(shown, poses=shown.poses + np.array([0, 0, 0.4, 0, 0, 0.4]))
+    recipe = TransporterRecipe(turned, TransporterOptions(batch=2))
+    config = recipe.policy.network.config
+    assert config.pick_yaw
+    assert (config.symmetry, config.pick_fold) == (4, fold)
+    assert TransporterConfig.of(config.config()) == config
+    batch = recipe.batch(np.random.default_rng(0))
+    assert batch["grasps"].tolist() == alike
+    assert batch["symmetry"].tolist() == [4, 4]
+    loss, _ = recipe.loss(recipe.policy.network, batch)
+    assert torch.isfinite(loss)
 
 
 @given(st.integers(0, 10**6), st.integers(0, 3))

@@ -36,6 +36,8 @@ _WARM_UP = 0.03
 _WINDOW = {"fast": (160, 160), "paper": None}
 """Pixels of a map that are looked at in a step: empty table teaches little, and a step takes as long as they are many.
 """
+_FINGERS = 2
+"""How often a turn two fingers are the same."""
 _BESIDE_PICK_PX = 1.0
 """Largest error of a pick, along each axis, that the place learns to make up for."""
 _BESIDE_PLACE_PX = 4.0
@@ -81,8 +83,15 @@ class TransporterRecipe:
         if options.preset == "fast":  # as published, what is taught is the pick that was shown
             demonstrations = demonstrations.by_the_thing()
         pick_yaw = options.pick_yaw or demonstrations.turned_to_pick
+        off = np.linalg.norm(demonstrations.middles - demonstrations.places[:, 0], axis=1)
+        beside = off > _BESIDE_PICK_PX
         config = TransporterConfig(
-            options.preset, options.rotations, demonstrations.common_symmetry, pick_yaw
+            options.preset,
+            options.rotations,
+            demonstrations.common_symmetry,
+            pick_yaw,
+            # Beside its middle a thing that looks the same after a turn is held otherwise then.
+            pick_symmetry=_FINGERS if pick_yaw and beside.any() else None,
         )
         network = TransporterNet(config)
         shown = demonstrations
@@ -97,11 +106,9 @@ class TransporterRecipe:
         """Who said how often things look the same a turn, how often they do, and how often all of them do."""
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
         self._maps = MovedMaps(demonstrations, options.moves, share, _WINDOW[options.preset])
-        beside = (
-            np.linalg.norm(demonstrations.middles - demonstrations.places[:, 0], axis=1) > _BESIDE_PICK_PX
-        )
         # Held beside its middle, a thing that was turned otherwise has another place: then only the one shown is right.
         self._symmetry = np.where(beside, config.symmetry, demonstrations.symmetry)
+        self._grasps = np.where(beside, _FINGERS, np.lcm(_FINGERS, demonstrations.symmetry))
         self._batch = options.batch or _BATCH[options.preset]
         self.steps = _STEPS[options.preset]
 
@@ -119,13 +126,15 @@ class TransporterRecipe:
         """Maps, `color` `(B, 3, H, W)` uint8 and `height` `(B, H, W)` metres; labels in pixels (u, v) and radians.
 
         `pick` `(B, 3)`: place and yaw; `held` `(B, 2)`: where it is really picked, a little off; `target` `(B, 3)`: the
-        place and turn that belong to that; `about` `(B, 2)`: where the fine look starts; and `symmetry` `(B,)`.
+        place and turn that belong to that; `about` `(B, 2)`: where the fine look starts; how often a turn what is
+        picked looks the same, `symmetry` `(B,)`, and how often its grasp is, `grasps` `(B,)`.
         """
         numbers = rng.integers(0, len(self._maps), self._batch)
         samples = [self._sample(rng, moved) for moved in self._maps.draw(rng, numbers.tolist())]
         stacked = {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
         batch = {name: torch.from_numpy(array) for name, array in stacked.items()}
-        return {**batch, "symmetry": torch.from_numpy(self._symmetry[numbers])}
+        alike = {"symmetry": self._symmetry, "grasps": self._grasps}
+        return {**batch, **{name: torch.from_numpy(times[numbers]) for name, times in alike.items()}}
 
     def _sample(self, rng: np.random.Generator, moved: MovedMap) -> dict[str, NDArray[Any]]:
         beside = rng.uniform(-_BESIDE_PICK_PX, _BESIDE_PICK_PX, 2)
@@ -156,16 +165,13 @@ class TransporterRecipe:
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """The sum of the looks' cross-entropies, nats."""
-        pick, target, symmetry = batch["pick"], batch["target"], batch["symmetry"]
+        pick, target = batch["pick"], batch["target"]
         held = PlaceAngle(batch["held"], pick[:, 2])
         looks: list[Scores] = network(batch["color"], batch["height"], held, batch["about"])
         truth_pick, truth_place = (PlaceAngle(pose[:, :2], pose[:, 2]) for pose in (pick, target))
-        grasp = torch.lcm(
-            symmetry, torch.full_like(symmetry, 2)
-        )  # two fingers change places after half a turn
         picks = len(self.policy.network.picks)
-        losses = [look.loss(truth_pick, grasp) for look in looks[:picks]]
-        losses += [look.loss(truth_place, symmetry) for look in looks[picks:]]
+        losses = [look.loss(truth_pick, batch["grasps"]) for look in looks[:picks]]
+        losses += [look.loss(truth_place, batch["symmetry"]) for look in looks[picks:]]
         names = [f"pick_{i}_nats" for i in range(picks)]
         names += [f"place_{i}_nats" for i in range(len(looks) - picks)]
         parts = {name: part.detach() for name, part in zip(names, losses, strict=True)}

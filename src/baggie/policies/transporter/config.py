@@ -28,6 +28,8 @@ class TransporterConfig:
     """Whether a gripper has to be turned to pick, as fingers have; a suction cup picks at yaw 0."""
     orders: int = 8
     """`fast`: the highest angular order of the phases."""
+    pick_symmetry: int | None = None
+    """How often a turn a grasp is the same; unless given, as often as all that is picked and two fingers are."""
 
     def __post_init__(self) -> None:
         if self.preset not in ("fast", "paper"):
@@ -43,7 +45,7 @@ class TransporterConfig:
     @property
     def pick_fold(self) -> int:
         """How often a turn a grasp is the same: two fingers change places after half a turn."""
-        return math.lcm(2, self.symmetry)
+        return math.lcm(2, self.symmetry) if self.pick_symmetry is None else self.pick_symmetry
 
     def bins(self, fold: int) -> int:
         """Of the `fold`-th part of a turn, as wide as those of a whole one."""
