@@ -12,8 +12,9 @@ from baggie.collect import demonstrations as module
 from baggie.collect.demonstrations import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
-from baggie.evaluation.would_count import choices
+from baggie.evaluation.choices_of_scene import choices_of_scene
 from baggie.grid import Grid
+from baggie.sim.tasks import TASKS
 from baggie.types import PickPlace
 from streaming import stream_here
 
@@ -98,8 +99,9 @@ def test_the_style_of_others_is_recorded_and_shown_again_alike(
     first, again = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "b")
     assert first.collection["style"] == "varied"
     np.testing.assert_array_equal(first.numbers()["commanded"], again.numbers()["commanded"])
+    right = choices_of_scene(first, TASKS[TASK])
     off = [
-        choices(first)[int(attempt_id)].blocks[0][1].distance(PickPlace.from_array(commanded).pick)
+        right[int(attempt_id)].blocks[0][1].distance(PickPlace.from_array(commanded).pick)
         for attempt_id, commanded in zip(first.attempt_ids, first.numbers()["commanded"], strict=True)
     ]
     assert min(off) > 0.002  # not by its middle

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from baggie.data import DatasetWriter, open_dataset
 from baggie.evaluation import validate as module
+from baggie.evaluation.choices_of_scene import Done, SceneChoices, replayed
 from baggie.evaluation.heldout import demonstrations
 from baggie.evaluation.metrics import success_rate, turn_error_deg
 from baggie.evaluation.validate import ValidateOptions, validate
-from baggie.evaluation.would_count import Choices, Done, replayed
 from baggie.geometry import PlanarPose
 from baggie.grid import Grid
 from baggie.seeds import COLLECTION, STYLE, generator
@@ -171,7 +171,9 @@ misses = st.tuples(st.floats(0, 0.0099), st.floats(0, math.radians(14.9)), yaws)
 @given(st.integers(0, 2), st.integers(0, 1), on_it, st.integers(0, 3), misses)
 def test_any_block_picked_anywhere_counts_where_it_comes_to_lie_in_any_slot(block, slot, at, alike, miss):
     """Within a centimetre and fifteen degrees of it, whatever looks the same and however the cup is turned."""
-    choices = Choices([(Block(f"{n}", (SIDE,) * 3), pose) for n, pose in enumerate(BLOCK_POSES)], SLOTS, 4)
+    choices = SceneChoices(
+        [(Block(f"{n}", (SIDE,) * 3), pose) for n, pose in enumerate(BLOCK_POSES)], SLOTS, 4
+    )
     pick, (off, turned, direction) = BLOCK_POSES[block] @ at, miss
 
     def placed(metres, radians):

@@ -240,6 +240,10 @@ class PickPlace:
     pick: PlanarPose
     place: PlanarPose
 
+    def carry(self, pose: PlanarPose) -> PlanarPose:
+        """Where a thing comes to lie that is at `pose` and moves with the hand from the pick to the place."""
+        return self.place @ self.pick.inverse() @ pose
+
     def to_array(self) -> FloatArray:
         """`(6,)`: pick x, y, yaw, place x, y, yaw; metres and radians."""
         a, b = self.pick, self.place

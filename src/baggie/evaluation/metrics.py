@@ -113,7 +113,8 @@ def within_stated(what: str, errors_cm: Sequence[float], radii_m: Sequence[float
 def symmetry_of(attempt: Attempt) -> int:
     """How often a turn what an attempt moved looks the same; 0 at any angle.
 
-    Where nobody said it: 4 in a camera's picture, where it is a bag; 1, none, in a height map, as in training.
+    Where nobody said it: 4 in a camera's picture, where it is a bag; 1, none, in a height map, unless it is found in
+    the maps (`carried_steps`).
     """
     if attempt.object_symmetry is not None:
         return attempt.object_symmetry
@@ -138,11 +139,18 @@ def turn_error_deg(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> f
     return yaw_error_deg(ours, theirs, symmetry)
 
 
-def action_errors(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> dict[str, float]:
-    """How far an action is off; units in the keys. `symmetry`: how often a turn what is moved looks the same."""
+def action_errors(
+    planned: PickPlace, right: PickPlace, symmetry: int = 4, stands: PlanarPose | None = None
+) -> dict[str, float]:
+    """How far an action is off; units in the keys. `symmetry`: how often a turn what is moved looks the same.
+
+    `stands`: where the middle of the thing is that both pick. Given, a place is off by as much as that comes to lie
+    off, wherever either holds it and whichever of the turns that look the same it chooses.
+    """
+    ends = [action.place if stands is None else action.carry(stands) for action in (planned, right)]
     return {
         "pick_error_cm": position_error_cm(planned.pick, right.pick),
-        "place_error_cm": position_error_cm(planned.place, right.place),
+        "place_error_cm": position_error_cm(*ends),
         "pick_yaw_error_deg": yaw_error_deg(planned.pick, right.pick, symmetry),
         "place_yaw_error_deg": yaw_error_deg(planned.place, right.place, symmetry),
         "turn_error_deg": turn_error_deg(planned, right, symmetry),

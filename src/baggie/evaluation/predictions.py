@@ -36,6 +36,8 @@ class Prediction:
     """Why it could not tell."""
     symmetry: int = 4
     """How often a turn what is moved looks the same."""
+    stands: PlanarPose | None = None
+    """Where the middle of what was moved stood, if the plan picks it, too; None where it does not or nobody knows."""
 
     @property
     def best_reference(self) -> PickPlace:
@@ -47,14 +49,15 @@ class Prediction:
         if self.action is None:
             return {}
         return {
-            name: action_errors(self.action, right, self.symmetry) for name, right in self.references.items()
+            name: action_errors(self.action, right, self.symmetry, self.stands)
+            for name, right in self.references.items()
         }
 
     def worst_cm(self) -> float:
         """The greater of both errors against the best reference there is; infinite without an action."""
         if self.action is None:
             return float("inf")
-        best = action_errors(self.action, self.best_reference, self.symmetry)
+        best = action_errors(self.action, self.best_reference, self.symmetry, self.stands)
         return max(best["pick_error_cm"], best["place_error_cm"])
 
     def to_json(self) -> dict[str, Any]:

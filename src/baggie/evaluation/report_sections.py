@@ -121,7 +121,7 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
     if counted := first.metrics.get("would_count"):
         picks, places = (percent(counted[what]) for what in ("pick", "place"))
         about += (
-            " These are what the demonstrator chose, where other blocks and slots may be as right: "
+            " These are what the demonstrator chose, where other things and slots may be as right: "
             f"{picks} of the picks and {places} of the places would count, within 1 cm and 15 degrees of any of them."
         )
     return {

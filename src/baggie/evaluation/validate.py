@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from baggie.data import open_dataset
+from baggie.evaluation.carried_steps import with_what_was_carried
 from baggie.evaluation.heldout import held_out
 from baggie.evaluation.predictions import measure, predict
 from baggie.evaluation.results import VALIDATION, check_unmixed, provenance, write_json
@@ -46,7 +47,8 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     Pick and place errors are against `"labels"` (poses the arm was really at) and, where the recording has it, against
     `"truth"` (the simulator's: the pick against the bag's place before, the place against that after). Of a task with
     several steps the labels are what the demonstrator chose; `"would_count"`, where the recording tells, is the share
-    of plans that would have been as right. Raises `BaggieError` when there is nothing to measure on, or the policy can
+    of plans that would have been as right. A place is compared by where what was picked comes to lie, where height maps
+    tell that the plan picks it, too. Raises `BaggieError` when there is nothing to measure on, or the policy can
     tell nothing.
     """
     check_unmixed(options.out, VALIDATION)
@@ -56,7 +58,7 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
         policy.image_to_robot = policy.image_to_robot.squeezed(dataset.settings.picture_size)
     chosen = held_out(options.policy, dataset, options.last)
     attempts = (dataset[index] for index in chosen.indices)
-    predictions = predict(policy, attempts, len(chosen.indices))
+    predictions = with_what_was_carried(dataset, predict(policy, attempts, len(chosen.indices)))
     counted = would_count(dataset, predictions)
     symmetries = sorted({prediction.symmetry for prediction in predictions})
     metrics = {

@@ -2,61 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
 
 from baggie.data import Dataset
+from baggie.evaluation.choices_of_maps import choices_of_maps
+from baggie.evaluation.choices_of_scene import choices_of_scene
 from baggie.evaluation.metrics import Rate, success_rate
 from baggie.evaluation.predictions import Prediction
-from baggie.geometry import FloatArray, PlanarPose, planar_pose
-from baggie.seeds import COLLECTION, generator
-from baggie.sim.blocks import Block, distance_m
-from baggie.sim.tasks import TASKS, Scene
-from baggie.sim.tasks.oracle import remaining
-from baggie.sim.tasks.scoring import RavensScore, counts
+from baggie.sim.tasks import TASKS
 from baggie.types import PickPlace
 
-_SAME_REWARD = 1e-3
-"""Rewards are recorded as float32."""
 
-
-@dataclass(frozen=True)
-class Choices:
+class Choices(Protocol):
     """What was as right as one recorded step."""
 
-    blocks: Sequence[tuple[Block, PlanarPose]]
-    """Those still to be moved in this stage, and where they are."""
-    slots: Sequence[PlanarPose]
-    """Those of the stage that are still free."""
-    symmetry: int
-    """How often a turn the stage's blocks look the same; 0 for at any angle."""
-
     def pick_counts(self, planned: PickPlace) -> bool:
-        """Whether it picks one of the blocks, anywhere."""
-        block, pose = self._nearest(planned.pick)
-        return _away_m(block, pose, planned.pick) == 0.0
+        """Whether it picks one of the things that are still to be moved in this stage."""
+        ...
 
     def place_counts(self, planned: PickPlace) -> bool:
-        """Whether the block that is picked, or the nearest one, comes to lie within 1 cm and 15 degrees of a slot.
-
-        Held where it is picked and turned as planned; turned, too, by what looks the same.
-        """
-        _, pose = self._nearest(planned.pick)
-        ends = carried(planned, pose).upright(0.0)
-        return any(counts(ends, slot.upright(0.0), self.symmetry) for slot in self.slots)
-
-    def _nearest(self, pick: PlanarPose) -> tuple[Block, PlanarPose]:
-        return min(self.blocks, key=lambda each: _away_m(each[0], each[1], pick))
+        """Whether what is picked, or the nearest thing, comes to lie within 1 cm and 15 degrees of a free slot."""
+        ...
 
 
 def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str, Rate]:
     """The share of `pick`, of `place` and of `both` that would count as Ravens counts; a missing plan does not.
 
-    Empty where the recording does not tell: it is not of one of our tasks.
+    Of a task of the simulator by its scene, of any other by its height maps, where it is a lower bound
+    (`choices_of_maps`). Steps of which neither tells are left out; empty where that is all of them.
     """
-    known = choices(dataset)
+    known = choices(dataset, [prediction.attempt_id for prediction in predictions])
     found = [(p.action, known[p.attempt_id]) for p in predictions if p.attempt_id in known]
     if not found:
         return {}
@@ -69,96 +45,9 @@ def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str
     }
 
 
-def choices(dataset: Dataset) -> dict[int, Choices]:
-    """By attempt id, of every step until which the recording says where things were."""
+def choices(dataset: Dataset, attempt_ids: Collection[int]) -> Mapping[int, Choices]:
+    """By attempt id, of those of these steps of which the recording tells."""
     task = TASKS.get(dataset.collection.get("task", ""))
     if task is None:
-        return {}
-    found: dict[int, Choices] = {}
-    numbers, failures = dataset.numbers(), dataset.failures
-    for episode in np.unique(dataset.episodes):
-        rows = np.flatnonzero(dataset.episodes == episode)
-        rows = rows[np.argsort(numbers["step"][rows])]
-        # The scene was drawn from this stream: drawn again, it says where everything was.
-        scene = task.draw(generator(COLLECTION, dataset.collection["seed"], int(episode)))
-        done = [
-            Done(PickPlace.from_array(numbers["executed"][row]), failures[row], float(numbers["reward"][row]))
-            for row in rows
-        ]
-        found |= dict(zip(map(int, dataset.attempt_ids[rows]), replayed(scene, done), strict=False))
-    return found
-
-
-@dataclass(frozen=True)
-class Done:
-    """What is recorded of one step."""
-
-    executed: PickPlace
-    failure: str | None
-    """What went wrong, if anything."""
-    reward: float
-    """What it earned."""
-
-
-def replayed(scene: Scene, steps: Sequence[Done]) -> Iterator[Choices]:
-    """What was as right as each of these steps, from the scene's beginning; it ends where the steps no longer tell.
-
-    What is picked goes where it is carried. Where that does not earn what was recorded, things went otherwise.
-    """
-    blocks = {block.name: block for block in scene.blocks}
-    poses = {
-        name: pose.upright(blocks[name].size_m[2] / 2 if name in blocks else 0.0)
-        for name, pose in scene.poses.items()
-    }
-    score = RavensScore(scene.stages)
-    for step in steps:
-        left = remaining(scene.stages, poses)
-        if left is None:
-            return
-        yield Choices(
-            [(blocks[name], planar_pose(poses[name])) for name in left.blocks],
-            [planar_pose(slot.T_base_slot(poses)) for slot in left.slots],
-            left.stage.symmetry,
-        )
-        if step.failure != "missed-grasp":
-            moved = _moved(scene, poses, step.executed) if step.failure is None else None
-            if moved is None:
-                return
-            poses |= moved
-        if not abs(score.count(poses) - step.reward) < _SAME_REWARD:  # nor where nobody counted
-            return
-
-
-def carried(action: PickPlace, pose: PlanarPose) -> PlanarPose:
-    """Where a thing comes to lie that is at `pose` and moves with the hand from the pick to the place."""
-    return action.place @ action.pick.inverse() @ pose
-
-
-def _moved(
-    scene: Scene, poses: Mapping[str, FloatArray], executed: PickPlace
-) -> dict[str, FloatArray] | None:
-    """What was carried, by name, and where it is now, `T_base_block` `(4, 4)`; None where nothing was under the cup."""
-    under = [
-        block
-        for block in scene.blocks
-        if _away_m(block, planar_pose(poses[block.name]), executed.pick) == 0.0
-    ]
-    if not under:
-        return None
-    block = max(under, key=lambda each: float(poses[each.name][2, 3]))
-    ends = carried(executed, planar_pose(poses[block.name]))
-    slots = [
-        (slot.T_base_slot(poses), stage.symmetry)
-        for stage in scene.stages
-        if block.name in stage.blocks
-        for slot in stage.slots
-    ]
-    # In a slot it is as high as the slot is, elsewhere on the table.
-    heights = [T[2, 3] for T, symmetry in slots if counts(ends.upright(0.0), T, symmetry)]
-    return {block.name: ends.upright(max(heights, default=block.size_m[2] / 2))}
-
-
-def _away_m(block: Block, pose: PlanarPose, point: PlanarPose) -> float:
-    """Metres from a block at `pose`, seen from above, to a point; 0 upon it."""
-    at = pose.inverse() @ point
-    return float(distance_m(block, at.xy[None])[0])
+        return choices_of_maps(dataset, attempt_ids)
+    return choices_of_scene(dataset, task)

@@ -207,7 +207,7 @@ def read_demonstrations(
         cell,
         goal_input,
     )
-    carried = [_carried(attempt, places) for attempt, places in zip(attempts, shown.places, strict=True)]
+    carried = [carried_in(attempt) for attempt in attempts]
     if any(carried):
         shown = shown.only_carried(carried)
     said = [attempt.object_symmetry is not None for attempt in attempts]
@@ -220,12 +220,13 @@ def read_demonstrations(
     return replace(shown, symmetry_origin=origin)
 
 
-def _carried(attempt: Attempt, places: FloatArray) -> Carried | None:
-    after, action = attempt.after, attempt.commanded
-    if after is None or after.height is None:
+def carried_in(attempt: Attempt) -> Carried | None:
+    """What an attempt carried from the height map before it to that after it; None where they do not tell."""
+    before, after, action = attempt.before, attempt.after, attempt.commanded
+    if before.grid is None or before.height is None or after is None or after.height is None:
         return None
-    assert attempt.before.height is not None
-    return Carried.between(attempt.before.height, after.height, places, action.place.yaw - action.pick.yaw)
+    places = before.grid.to_pixels([action.pick.xy, action.place.xy])
+    return Carried.between(before.height, after.height, places, action.place.yaw - action.pick.yaw)
 
 
 def _symmetry(attempt: Attempt) -> int:

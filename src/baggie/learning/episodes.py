@@ -31,7 +31,7 @@ def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: i
         key = ("attempt", attempt.attempt_id) if alone else ("episode", attempt.episode or 0)
         kept = replace(attempt, before=replace(attempt.before, depth=None))
         episodes.setdefault(key, []).append(kept)
-    teaching = [chosen for episode in episodes.values() if (chosen := _demonstration(episode))]
+    teaching = [chosen for episode in episodes.values() if (chosen := demonstration(episode))]
     train, val = shares(len(teaching), train, val, ("episodes", "that did their task"))
     first, next_ones = (
         [attempt for episode in part for attempt in episode]
@@ -41,7 +41,7 @@ def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: i
     return Split(first, next_ones)
 
 
-def _demonstration(episode: list[Attempt]) -> list[Attempt]:
+def demonstration(episode: Sequence[Attempt]) -> list[Attempt]:
     """What of an episode can teach, each with what was seen after it; nothing where the task was not done.
 
     A step that earned nothing among steps that earn went wrong. Where few earn anything, as where only the last one
@@ -49,11 +49,15 @@ def _demonstration(episode: list[Attempt]) -> list[Attempt]:
     """
     if not did_its_task(attempt.reward for attempt in episode):
         return []
+    worked = [attempt for attempt in with_after(episode) if attempt.outcome.success]
+    earned = [attempt for attempt in worked if attempt.reward is None or not attempt.reward <= 0]
+    return earned if len(earned) >= _MOST * len(worked) else worked
+
+
+def with_after(episode: Sequence[Attempt]) -> list[Attempt]:
+    """The steps of an episode, each with what was seen after it: its own picture, or the one before the next."""
     following = [*(attempt.before for attempt in episode[1:]), None]
-    seen_after = [
+    return [
         attempt if attempt.after else replace(attempt, after=after)
         for attempt, after in zip(episode, following, strict=True)
     ]
-    worked = [attempt for attempt in seen_after if attempt.outcome.success]
-    earned = [attempt for attempt in worked if attempt.reward is None or not attempt.reward <= 0]
-    return earned if len(earned) >= _MOST * len(worked) else worked

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from baggie.errors import BaggieWarning
-from baggie.geometry import rotation
+from baggie.geometry import rotation, wrap_angle
 from baggie.types import Image
-from baggie.vision.carried import Carried
+from baggie.vision.carried import Carried, Mask, middle_of
 
 Origin = Literal["given", "recorded", "found", "unknown"]
 """Who said it: a person, the recording, the maps, or nobody, so that nothing is taken to look the same."""
@@ -28,6 +28,7 @@ _COLOR = 20.0
 """Of 255: by how much the colours of both may differ on the average."""
 _SIZE = 0.2
 """Things whose areas differ by less are taken to be of one kind, and are looked at together."""
+_STEP, _SAME_TURN = math.radians(2.0), math.radians(15.0)
 
 
 def found_symmetries(colors: NDArray[np.uint8], carried: Sequence[Carried | None]) -> NDArray[np.int64]:
@@ -71,6 +72,43 @@ def check_symmetries(
             return
 
 
+def turn_onto(mask: Mask, other: Mask, symmetry: int) -> float | None:
+    """Radians by which a footprint `(H, W)` has to be turned about its middle to lie as an `other` one does.
+
+    Modulo `symmetry`, how often a turn the other thing looks the same. None where it does not cover the other at any
+    angle, or does at several, so that the outline does not tell.
+    """
+    period = 2 * math.pi / max(symmetry, 1)
+    angles = np.arange(0.0, _STEP if symmetry == 0 else period, _STEP)
+    half = math.ceil(max(_radius(mask), _radius(other))) + 1
+    there = _centred(other, 0.0, half)
+    covers = np.array([_share(_centred(mask, angle, half), there) for angle in angles])
+    best = float(angles[covers.argmax()])
+    covering = angles[covers >= _COVERS]
+    if not len(covering) or (np.abs(wrap_angle(covering - best, period)) > _SAME_TURN).any():
+        return None
+    return best
+
+
+def _centred(mask: Mask, angle: float, half: int) -> NDArray[np.float32]:
+    """A footprint `(H, W)` turned about its middle, which is in the middle of the `half` * 2 + 1 square pixels."""
+    turn = rotation(angle)
+    move = np.c_[turn, half - turn @ middle_of(mask)]
+    size = 2 * half + 1
+    return np.asarray(
+        cv2.warpAffine(mask.astype(np.float32), move, (size, size), flags=cv2.INTER_LINEAR), np.float32
+    )
+
+
+def _radius(mask: Mask) -> float:
+    return float(np.linalg.norm(np.argwhere(mask)[:, ::-1] - middle_of(mask), axis=1).max())
+
+
+def _share(mask: NDArray[Any], other: NDArray[Any]) -> float:
+    """Of what either of two footprints covers, what both do."""
+    return float(np.minimum(mask, other).sum() / np.maximum(mask, other).sum())
+
+
 class _Looks:
     """How things look when they are turned about their middles."""
 
@@ -107,7 +145,7 @@ def _turned(carried: Carried, color: Image, angle: float) -> tuple[float, float]
     move = np.c_[rotation(angle), carried.middle - rotation(angle) @ carried.middle]
     mask = carried.stood.astype(np.float32)
     there = cv2.warpAffine(mask, move, (columns, rows), flags=cv2.INTER_LINEAR)
-    covers = float(np.minimum(mask, there).sum() / np.maximum(mask, there).sum())
+    covers = _share(mask, there)
     inner = (cv2.erode(mask, np.ones((5, 5))) > 0) & (there > 0.99)
     if not inner.any():
         return covers, 0.0

@@ -1,0 +1,159 @@
+"""What was as right as each recorded step, told by the height maps of its episode alone.
+
+A step carried something to somewhere, which the maps before and after it show (`baggie.vision.carried`). Steps that
+have nothing to do with each other could have come in any order: before each of them all was right that any of them did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from baggie.data import Dataset
+from baggie.evaluation.carried_steps import (
+    NEAR_PX,
+    CarriedStep,
+    away_m,
+    carried_steps,
+    pixels_of,
+    pose_at,
+)
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.learning.symmetry import turn_onto
+from baggie.sim.tasks.scoring import counts
+from baggie.types import Observation, PickPlace
+from baggie.vision.carried import CHANGED_M, Carried, Mask, middle_of
+
+_TOUCHES_PX = 3
+"""What shares no square of so many pixels touches at most: things lie beside each other, maps show it to a pixel."""
+_SAME = 0.5
+"""Of a footprint, what is seen of the thing where it was put down that is picked there next."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A thing in place of the one that was put into a slot. Poses are those of their middles."""
+
+    stands: PlanarPose
+    """Where it is now. Its yaw is that of the other one's frame, had it to look as this one does."""
+    slot: PlanarPose
+    """Where the other one's frame was put."""
+    symmetry: int
+    """How often a turn both look the same; 0 for at any angle."""
+
+
+@dataclass(frozen=True)
+class SeenThing:
+    """One that is still to be moved in this stage, as a map shows it."""
+
+    seen: FloatArray
+    """`(N, 2)` metres: the middles of the pixels that show it, at least one."""
+    fits: Sequence[Fit]
+    """One for each free slot of the stage that takes it."""
+
+
+@dataclass(frozen=True)
+class MapChoices:
+    """What was as right as one recorded step."""
+
+    things: Sequence[SeenThing]
+    """At least one."""
+    pixel_m: float
+    """The size of the map's pixels."""
+
+    def pick_counts(self, planned: PickPlace) -> bool:
+        """Whether it picks one of the things where the map shows it."""
+        return away_m(self._nearest(planned.pick).seen, planned.pick) <= NEAR_PX * self.pixel_m
+
+    def place_counts(self, planned: PickPlace) -> bool:
+        """Whether the thing that is picked, or the nearest one, comes to lie within 1 cm and 15 degrees of a slot.
+
+        Held where it is picked and turned as planned; turned, too, by what looks the same.
+        """
+        return any(
+            counts(planned.carry(fit.stands).upright(0.0), fit.slot.upright(0.0), fit.symmetry)
+            for fit in self._nearest(planned.pick).fits
+        )
+
+    def _nearest(self, pick: PlanarPose) -> SeenThing:
+        return min(self.things, key=lambda thing: away_m(thing.seen, pick))
+
+
+def choices_of_maps(dataset: Dataset, attempt_ids: Collection[int]) -> dict[int, MapChoices]:
+    """By attempt id, of those of these steps that did something for the task and of which the maps tell what.
+
+    What counts by this is a lower bound: slots that no demonstration used are unknown, and so is what a step moved of
+    which the maps do not tell. Only where a task tells things of one outline and one stage apart by their colour, maps
+    cannot, and what takes the other's slot counts.
+
+    Empty where the recording has no height maps. Raises `DataError` where they are not all of one grid, or one is
+    damaged.
+    """
+    found: dict[int, MapChoices] = {}
+    for episode in carried_steps(dataset, attempt_ids):
+        found |= choices_of_episode(episode)
+    return {attempt_id: found[attempt_id] for attempt_id in attempt_ids if attempt_id in found}
+
+
+def choices_of_episode(steps: Sequence[CarriedStep]) -> dict[int, MapChoices]:
+    """By attempt id, of the steps of one episode that were right; those that were not say where things have been."""
+    right = [number for number, step in enumerate(steps) if step.right]
+    stages = dict(zip(right, stages_of([steps[number].carried for number in right]), strict=True))
+    found = {}
+    for now in right:
+        left = [later for later in right if later >= now and stages[later] == stages[now]]
+        things = [_seen(steps, now, thing, left) for thing in left]
+        found[steps[now].attempt.attempt_id] = MapChoices(
+            [thing for thing in things if len(thing.seen)], steps[now].grid.pixel_m
+        )
+    return found
+
+
+def stages_of(things: Sequence[Carried]) -> list[int]:
+    """The stage of each step of an episode, from 1: one more than the greatest of the steps it depends on.
+
+    It depends on an earlier one where what the two things covered, before or after, does more than touch: it picks the
+    same thing again, takes one that the other had covered, or puts one on the other or where that had been.
+    """
+    stages: list[int] = []
+    for number, thing in enumerate(things):
+        before = zip(stages, things[:number], strict=True)
+        stages.append(1 + max((stage for stage, other in before if _meet(thing, other)), default=0))
+    return stages
+
+
+def _seen(steps: Sequence[CarriedStep], now: int, number: int, left: Sequence[int]) -> SeenThing:
+    """What the step `number` carries, as it is before the step `now`, and into which slots of those `left` it fits."""
+    mask, mover = steps[number].carried.stood, number
+    for earlier in reversed(range(now, number)):  # where it had been before a step that was not right
+        put = steps[earlier]
+        here = _alike(mask & put.carried.lies, put.attempt.after, steps[mover].attempt.before)
+        if np.count_nonzero(here) > _SAME * np.count_nonzero(mask):
+            mask, mover = put.carried.stood, earlier
+    grid = steps[now].grid
+    middle, fits = middle_of(mask), []
+    for other in left:
+        step = steps[other]
+        turn = 0.0 if other == mover else turn_onto(mask, step.carried.stood, step.symmetry)
+        if turn is not None:
+            fits.append(Fit(pose_at(middle, -turn, grid), step.slot, step.symmetry))
+    # It is seen where the map is as high as when it was moved; where it is higher, something else covers it.
+    visible = _alike(mask, steps[now].attempt.before, steps[mover].attempt.before)
+    return SeenThing(pixels_of(visible, grid), fits)
+
+
+def _alike(mask: Mask, seen: Observation | None, then: Observation) -> Mask:
+    """Where in a mask `(H, W)` two maps are as high."""
+    assert seen is not None
+    assert seen.height is not None
+    assert then.height is not None
+    return np.asarray(mask & (np.abs(seen.height - then.height) <= CHANGED_M))
+
+
+def _meet(thing: Carried, other: Carried) -> bool:
+    """Whether what two things covered, before or after, does more than touch."""
+    common = (thing.stood | thing.lies) & (other.stood | other.lies)
+    return bool(cv2.erode(common.astype(np.uint8), np.ones((_TOUCHES_PX, _TOUCHES_PX))).any())
