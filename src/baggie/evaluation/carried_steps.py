@@ -19,9 +19,6 @@ from baggie.learning.symmetry import found_symmetries
 from baggie.types import Attempt
 from baggie.vision.carried import Carried, Mask
 
-NEAR_PX = 0.75
-"""A pick so near to the middle of a pixel is in it, or at its rim; picks of others lie at corners of pixels."""
-
 
 @dataclass(frozen=True, eq=False)
 class CarriedStep:
@@ -130,5 +127,4 @@ def _known(prediction: Prediction, step: CarriedStep) -> Prediction:
     known = replace(prediction, symmetry=step.symmetry)
     if prediction.action is None:
         return known
-    off = away_m(pixels_of(step.carried.stood, step.grid), prediction.action.pick)
-    return replace(known, stands=step.stands) if off <= NEAR_PX * step.grid.pixel_m else known
+    return replace(known, stands=step.carried.stood_at(prediction.action.pick, step.grid))

@@ -14,7 +14,6 @@ import numpy as np
 
 from baggie.data import Dataset
 from baggie.evaluation.carried_steps import (
-    NEAR_PX,
     CarriedStep,
     away_m,
     carried_steps,
@@ -25,7 +24,7 @@ from baggie.geometry import FloatArray, PlanarPose
 from baggie.learning.symmetry import turn_onto
 from baggie.sim.tasks.scoring import counts
 from baggie.types import Observation, PickPlace
-from baggie.vision.carried import CHANGED_M, Carried, Mask, middle_of
+from baggie.vision.carried import CHANGED_M, ON_IT_PX, Carried, Mask, middle_of
 
 _TOUCHES_PX = 3
 """What shares no square of so many pixels touches at most: things lie beside each other, maps show it to a pixel."""
@@ -66,7 +65,7 @@ class MapChoices:
 
     def pick_counts(self, planned: PickPlace) -> bool:
         """Whether it picks one of the things where the map shows it."""
-        return away_m(self._nearest(planned.pick).seen, planned.pick) <= NEAR_PX * self.pixel_m
+        return away_m(self._nearest(planned.pick).seen, planned.pick) <= ON_IT_PX * self.pixel_m
 
     def place_counts(self, planned: PickPlace) -> bool:
         """Whether the thing that is picked, or the nearest one, comes to lie within 1 cm and 15 degrees of a slot.

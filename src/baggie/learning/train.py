@@ -98,7 +98,10 @@ def train(
         save_every_s=options.save_every_s,
         accelerator=accelerator,
     )
-    judge = partial(measure, attempts=split.val, symmetry=options.symmetry)
+    symmetry = options.symmetry
+    if isinstance(recipe, TransporterRecipe) and recipe.symmetry["origin"] == "found":
+        symmetry = recipe.symmetry["all"]
+    judge = partial(measure, attempts=split.val, symmetry=symmetry)
     seconds = training.run(judge)
     policy = training.policy
     metrics = {

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.geometry import FloatArray, rotation
+from baggie.geometry import FloatArray, PlanarPose, rotation
+from baggie.grid import Grid
 
 Mask = NDArray[np.bool_]
 CHANGED_M = 0.004
@@ -22,6 +23,8 @@ _SMALLEST_PX = 12
 """What covers fewer pixels is noise."""
 _NEAR_PX = 2.0
 """A pick so near to a thing is on it."""
+ON_IT_PX = 0.75
+"""So near to the middle of a pixel is in it, or at its rim: some demonstrators pick corners of pixels."""
 _STRAY_PX = 16.0
 """A thing that is held at its rim tilts, and slides into a bowl; what came to lie further away is another."""
 _EXACT_PX = 2.5
@@ -88,6 +91,14 @@ class Carried:
     def middle(self) -> FloatArray:
         """`(2,)` (u, v) pixels: of what it covered before."""
         return middle_of(self.stood)
+
+    def stood_at(self, pick: PlanarPose, grid: Grid) -> PlanarPose | None:
+        """Where its middle was before, at yaw 0, in the robot's base frame; None where a pick is not on it."""
+        off = np.argwhere(self.stood)[:, ::-1] - grid.to_pixels(pick.xy)
+        if np.linalg.norm(off, axis=1).min() > ON_IT_PX:
+            return None
+        x, y = grid.to_robot(self.middle)[0]
+        return PlanarPose(float(x), float(y), 0.0)
 
     def stray_px(self, places: FloatArray, turn: float) -> float:
         """How far its middle came to lie from where a pick and a place `(2, 2)`, turned by `turn`, take it: pixels."""
