@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.other_views import Light, with_gaps_closed, with_shadow
 from baggie.learning.rearranged import Scene, rearranged, turn_about
 from baggie.learning.things import Things, place_belongs_to
 from baggie.types import Image
 
 _TRIES = 100
 _GAIN, _BIAS, _GAMMA = 0.08, 8.0, 0.1
+_INSIDE_PX = 16.0
+"""So far inside a window are pick and place, with what is around them, unless the map ends there."""
+_OTHERWISE = 0.5
+"""The share of samples in which gaps are closed, and of those with another shadow."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class Moves:
     margin_px: float = 2.0
     """Pick and place stay at least this far inside the map."""
     recolor: bool = True
-    """Whether light and colour vary a little."""
+    """Whether light and colour vary a little, and what cameras see of gaps and shadows."""
 
 
 class MovedMap(NamedTuple):
@@ -93,7 +98,21 @@ class MovedMaps:
             self.moved(number, np.eye(3)) if each is None else each
             for number, each in zip(numbers, moved, strict=True)
         ]
-        return [_recolored(rng, each) for each in drawn] if self._moves.recolor else drawn
+        return [self._seen_otherwise(rng, each) for each in drawn] if self._moves.recolor else drawn
+
+    def _seen_otherwise(self, rng: np.random.Generator, moved: MovedMap) -> MovedMap:
+        """In slightly other light, and now and then as from another side."""
+        color, height = moved.color, moved.height
+        if rng.random() < _OTHERWISE:
+            color, height = with_gaps_closed(color, height, int(rng.integers(3, 6)))
+        if rng.random() < _OTHERWISE:
+            color = with_shadow(color, height, Light.random(rng), self._shown.grid.pixel_m)
+        gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
+        bias = _BIAS * rng.uniform(-1, 1)
+        gamma = math.exp(_GAMMA * rng.uniform(-1, 1))
+        levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
+        table = np.clip(levels, 0, 255).round().astype(np.uint8)
+        return moved._replace(color=np.asarray(cv2.LUT(color, table[:, None]), np.uint8), height=height)
 
     def _drawn(self, rng: np.random.Generator, number: int, size: tuple[int, int]) -> MovedMap | None:
         moved = self._rearranged(rng, number, size) if rng.random() < self._share else None
@@ -170,16 +189,6 @@ class MovedMaps:
         )
 
 
-def _recolored(rng: np.random.Generator, moved: MovedMap) -> MovedMap:
-    """In slightly other light."""
-    gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
-    bias = _BIAS * rng.uniform(-1, 1)
-    gamma = math.exp(_GAMMA * rng.uniform(-1, 1))
-    levels = np.linspace(0, 1, 256)[:, None] ** gamma * 255 * gain + bias
-    table = np.clip(levels, 0, 255).round().astype(np.uint8)
-    return moved._replace(color=np.asarray(cv2.LUT(moved.color, table[:, None]), np.uint8))
-
-
 def rigid_move(turn: float, shift: FloatArray, size: tuple[int, int]) -> FloatArray:
     """A turn (radians, from u towards v) about the middle of a map of `(width, height)` pixels, then a shift `(2,)`
     (u, v) pixels: `(3, 3)`, pixels -> pixels, centres at integers.
@@ -205,11 +214,12 @@ def random_move(
             turn = rng.uniform(-moves.turn_rad, moves.turn_rad)
             move = rigid_move(turn, rng.normal(0, moves.shift_px, 2), size)
         there = apply_homography(move, places) if len(places) else places
-        first = np.maximum(there.max(axis=0, initial=-math.inf) + moves.margin_px + 1 - window, 0)
-        last = np.minimum(there.min(axis=0, initial=math.inf) - moves.margin_px, np.subtract(size, window))
-        first, last = np.ceil(first), np.floor(last)
-        if (first <= last).all():
-            corner = rng.integers(first.astype(int), last.astype(int) + 1)
-            move[:2, 2] -= corner
+        least, most = there.min(axis=0, initial=math.inf), there.max(axis=0, initial=-math.inf)
+        on_map = (least >= moves.margin_px).all() and (most <= np.array(size) - 1 - moves.margin_px).all()
+        # A window's rim is further off than the map's own, where there is nothing more to see.
+        first = np.clip(np.ceil(most + _INSIDE_PX + 1 - window), 0, np.subtract(size, window)).astype(int)
+        last = np.clip(np.floor(least - _INSIDE_PX), 0, np.subtract(size, window)).astype(int)
+        if on_map and (first <= last).all():
+            move[:2, 2] -= rng.integers(first, last + 1)
             return move
     return None

@@ -62,7 +62,7 @@ class TransporterNet(nn.Module):
         ]
 
     def decide(self, color: Tensor, height: Tensor, barred: Tensor | None = None) -> Decision:
-        """Where to pick and where to place; each look is about where the one before it ended.
+        """Where to pick and where to place; each look is about where the one before it ended, and given what that said.
 
         `barred` `(B, H, W)`: where not to pick.
         """
@@ -78,7 +78,8 @@ class TransporterNet(nn.Module):
             picks.append(look if barred is None or picks else look.without(barred))
             pick = picks[-1].read(pick)
         for stage in self.places:
-            places.append(stage(scene, pick, place))
+            look = stage(scene, pick, place)
+            places.append(look.given(places[-1]) if places else look)
             found = places[-1].read(place)
             place = PlaceAngle(found.place.clamp_min(0).minimum(last), found.angle)
         return Decision(pick, place, picks, places)

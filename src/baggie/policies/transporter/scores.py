@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from baggie.policies.transporter.soft_targets import (
     PlaceAngle,
@@ -22,6 +23,8 @@ from baggie.policies.transporter.soft_targets import (
 
 _RADIUS_PX = 2
 """Cells about the best one that decide where it is to a fraction of a cell."""
+_DOUBT = 1e-3
+"""Of what a coarse look is surest of: so much a finer one gives it to have overlooked elsewhere."""
 _SIGMA_PX = 1.0
 """Of targets whose cells are pixels, labels being no better; coarser cells share the truth between neighbours."""
 
@@ -77,6 +80,28 @@ class Scores(NamedTuple):
     def without(self, barred: Tensor) -> Scores:
         """The same of a look at every pixel of the map, but for those that are `barred` `(B, H, W)`."""
         return self._replace(logits=self.logits.masked_fill(barred[:, None], -math.inf))
+
+    def given(self, before: Scores) -> Scores:
+        """The same of a finer look, given what a coarser one said: the product of both, whatever its angles.
+
+        A finer look is taught to tell places near by from each other, all as likely; how likely they are the coarser
+        one knows. A look at one cell, or after one at one cell, stays as it is.
+        """
+        _, _, height, width = self.logits.shape
+        heat = before.heat()
+        if height == width == 1 or heat.shape[1] == heat.shape[2] == 1:
+            return self
+        rows = torch.arange(height, device=heat.device) * self.stride
+        columns = torch.arange(width, device=heat.device) * self.stride
+        v, u = torch.meshgrid(rows, columns, indexing="ij")
+        pixels = self.origin[:, None, None] + torch.stack([u, v], dim=-1)
+        cells = (pixels - before.origin[:, None, None]) / before.stride
+        # `align_corners=True`: -1 and 1 are the centres of the outermost cells.
+        last = cells.new_tensor([heat.shape[2] - 1.0, heat.shape[1] - 1.0]).clamp_min(1.0)
+        near = F.grid_sample(heat[:, None], 2 * cells / last - 1, padding_mode="border", align_corners=True)
+        return self._replace(
+            logits=self.logits + torch.log(near + _DOUBT * heat.amax(dim=(1, 2))[:, None, None, None])
+        )
 
     def heat(self) -> Tensor:
         """How likely each cell is, whatever the angle: `(B, h, w)`, sums to 1."""
