@@ -60,6 +60,37 @@ def seen(number: int = 0, grid: Grid = GRID) -> Observation:
 # --- what a look says
 
 
+@given(st.floats(20, 44), st.floats(20, 44), st.integers(-6, 6), st.integers(-6, 6))
+def test_of_two_places_that_fit_as_well_the_coarse_look_decides(u, v, right, down):
+    """A finer look that knows of two places alike chooses the one where the coarse one saw it, and reads it alike."""
+    truth = PlaceAngle(torch.tensor([[u, v]]), torch.zeros(1))
+    coarse = look_at(truth.place, (16, 16), torch.full((1, 2), 1.5), 4)
+    centre = truth.place.round()
+    other = truth.place + torch.tensor([[float(right), float(down)]])
+    fine = look_at(truth.place, (13, 13), centre - 6, 1)
+    both = torch.logaddexp(fine.logits, look_at(other, (13, 13), centre - 6, 1).logits)
+    found = fine._replace(logits=both).given(coarse).read(truth).place
+    if math.hypot(right, down) >= 5:
+        assert found == pytest.approx(truth.place, abs=0.35)
+    alone = fine.given(coarse).read(truth).place
+    assert alone == pytest.approx(fine.read(truth).place, abs=0.35)
+
+
+def look_at(place: torch.Tensor, shape: tuple[int, int], origin: torch.Tensor, stride: int) -> Scores:
+    """One that says of a place `(1, 2)` what it should."""
+    sigma = 1.0 if stride == 1 else 0.0
+    cells = PlaceAngle(((place - origin) / stride).clamp(0, shape[0] - 1), torch.zeros(1))
+    target = soft_targets(cells, torch.ones(1, dtype=torch.long), (1, *shape), sigma_px=sigma)
+    return Scores((target + 1e-9).log(), origin, stride, 1)
+
+
+def test_after_a_look_at_one_cell_the_next_stays_as_it_is():
+    fine = Scores(torch.randn(1, 4, 5, 5), torch.zeros(1, 2), 1, 1)
+    angle = Scores(torch.randn(1, 8, 1, 1), torch.zeros(1, 2), 1, 1)
+    assert fine.given(angle) is fine
+    assert angle.given(fine) is angle
+
+
 @given(
     st.tuples(st.floats(9, 50), st.floats(9, 50)),
     angles,

@@ -104,7 +104,7 @@ class MovedMaps:
         """In slightly other light, and now and then as from another side."""
         color, height = moved.color, moved.height
         if rng.random() < _OTHERWISE:
-            color, height = with_gaps_closed(color, height, int(rng.integers(3, 6)))
+            color, height = with_gaps_closed(color, height, int(rng.choice((3, 5))))
         if rng.random() < _OTHERWISE:
             color = with_shadow(color, height, Light.random(rng), self._shown.grid.pixel_m)
         gain = 1 + _GAIN * rng.uniform(-1, 1, 3)

@@ -40,7 +40,10 @@ class Light(NamedTuple):
 def with_gaps_closed(
     color: Image, height: NDArray[np.float32], size_px: int
 ) -> tuple[Image, NDArray[np.float32]]:
-    """A map `(H, W, 3)`, `(H, W)` metres, whose gaps narrower than `size_px` look like the highest beside them."""
+    """Colours `(H, W, 3)` and heights `(H, W)` metres of a map whose gaps look like the highest thing beside them.
+
+    Closed are those narrower than `size_px`, an odd number of pixels.
+    """
     square = np.ones((size_px, size_px), np.uint8)
     closed = cv2.morphologyEx(height, cv2.MORPH_CLOSE, square)
     gaps = closed > height + _GAP_M
@@ -56,7 +59,7 @@ def with_gaps_closed(
 
 
 def with_shadow(color: Image, height: NDArray[np.float32], light: Light, pixel_m: float) -> Image:
-    """The colours `(H, W, 3)` of a map, with a shadow cast over its heights `(H, W)`; pixels are of `pixel_m` metres."""
+    """The colours `(H, W, 3)` of a map with a shadow cast over its heights `(H, W)`; pixels are of `pixel_m` metres."""
     shadow = np.zeros(height.shape, np.uint8)
     rows, columns = height.shape
     for far in range(1, _SHADOW_PX + 1):
