@@ -56,7 +56,7 @@ class TrainOptions(Options):
     seed: Seed = 0
     """Of the first weights and of all batches."""
     steps: Count | None = None
-    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression, 3,200 of 4 for
+    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression, 3,600 of 4 for
     transporter."""
     device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
     """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train

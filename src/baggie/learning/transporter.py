@@ -29,7 +29,7 @@ from baggie.vision.carried import with_turn
 
 _RATE = {"fast": 1e-3, "paper": 1e-4}
 _BATCH = {"fast": 4, "paper": 1}
-_STEPS = {"fast": 3200, "paper": 10_000}
+_STEPS = {"fast": 3600, "paper": 10_000}
 _REARRANGED = {"fast": 0.5, "paper": 0.0}
 _WARM_UP = 0.03
 """Of the training of `fast`."""
