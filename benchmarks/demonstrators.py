@@ -55,8 +55,8 @@ LEFT_OUT = 10
 IN_SIMULATOR = (
     "Each training has a seed and demonstrations of its own. Strict: every thing lies in a slot of its own when the "
     "episode ends, upright and so two seconds later; in brackets Wilson's 95% interval. Partial credit as Ravens "
-    "counts. Asked is what each training has to reach. Scenes are the evaluation's own. The last checkpoint by rule. Times are "
-    "the wall clock's, with another training beside."
+    "counts. Asked is what each training has to reach. Scenes are the evaluation's own. The last checkpoint by rule. "
+    "Times are the wall clock's, with another training beside."
 )
 ON_RECORDINGS = (
     "Whole: a training on all episodes that did their task, to its end. Left out: as many trainings as there are "
