@@ -24,8 +24,8 @@ _MARGIN_PX = 2.0
 """And what is picked, or where something is placed, at least so far inside."""
 _CROWDED = 0.3
 """Of what is put down, the share that comes close to something."""
-_CLOSE = 0.6, 1.2
-"""From middle to middle, by how far both reach; corners are further out than sides."""
+_CLOSE = 0.7, 1.6
+"""From the other's rim to its own middle, by how far it reaches; corners are further out than sides."""
 _TRIES = 40
 _ROLLS = 8
 
@@ -88,8 +88,8 @@ class _Table:
     def __init__(self, layers: NDArray[np.float32]) -> None:
         self.layers = layers
         self._taken: NDArray[np.bool_] = np.zeros(layers.shape[:2], np.bool_)
-        self._put: list[tuple[FloatArray, float]] = []
-        """Where the middles are of what was put down, and how far it reaches: pixels."""
+        self._put: list[FloatArray] = []
+        """Of each thing that was put down, its rim, `(N, 2)` (u, v) pixels."""
 
     def keep_free(self, place: FloatArray, reach_px: float) -> None:
         """Around a place `(2,)` (u, v) pixels."""
@@ -122,7 +122,7 @@ class _Table:
             if whole and not (self._taken & (moved == 2)).any():
                 self._paste(layers, (mask > 0).astype(np.float32), move, cv2.boundingRect(moved))
                 self._taken |= cv2.dilate((moved == 2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-                self._put.append((to, reach))
+                self._put.append(_rim(moved == 2))
                 return move
         return None
 
@@ -130,9 +130,10 @@ class _Table:
         """A place on the map; now and then close to something, because that is where networks err."""
         rows, columns = self._taken.shape
         if self._put and rng.random() < _CROWDED:
-            beside, its_reach = self._put[rng.integers(len(self._put))]
-            angle, gap = rng.uniform(-math.pi, math.pi), rng.uniform(*_CLOSE)
-            return beside + gap * (reach_px + its_reach) * np.array([math.cos(angle), math.sin(angle)])
+            rim = self._put[rng.integers(len(self._put))]
+            beside, angle = rim[rng.integers(len(rim))], rng.uniform(-math.pi, math.pi)
+            way = np.array([math.cos(angle), math.sin(angle)])
+            return np.asarray(beside + reach_px * rng.uniform(*_CLOSE) * way)
         return rng.uniform(0, (columns, rows))
 
     def _paste(
@@ -166,6 +167,12 @@ def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: Things)
         bare[v[take], u[take]] = layers[there[0][take], there[1][take]]
         v, u = v[~take], u[~take]
     return bare
+
+
+def _rim(mask: NDArray[np.bool_]) -> FloatArray:
+    """The outermost pixels of what is in a mask `(H, W)`: `(N, 2)` (u, v)."""
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return np.argwhere(mask & ~inner)[:, ::-1].astype(float)
 
 
 def turn_about(middle: FloatArray, turn: float, to: FloatArray) -> FloatArray:
