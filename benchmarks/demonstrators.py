@@ -141,7 +141,7 @@ def recordings(options: Options) -> None:
         episodes = sorted(set(open_dataset(folder).episodes.tolist()))
         left_out = [None, *(episodes if len(episodes) == LEFT_OUT else ())]
         rows = all_of(options, planned, [(options, folder, episode) for episode in left_out])
-        table = [rows[0], summed(rows[1:])] if rows[1:] else rows
+        table = [rows[0] | {"left out": "nothing"}, *([summed(rows[1:])] if rows[1:] else [])]
         write(options, name, f"Taught by Ravens' demonstrator: {name}", table, ON_RECORDINGS)
 
 
