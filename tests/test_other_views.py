@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,6 +33,22 @@ def test_gaps_that_are_narrower_are_closed_and_nothing_else_changes(gap, size):
     assert (closed_color[between] == (RED if gap < size else GRAY)).all()
     assert (closed[~between] == height[~between]).all()
     assert (closed_color[~between] == color[~between]).all()
+
+
+@given(st.integers(0, 1000), st.sampled_from([(40, 64), (157, 331), (61, 43)]))
+def test_a_closed_gap_looks_like_the_highest_thing_beside_it_whatever_the_size_of_the_map(seed, shape):
+    rng = np.random.default_rng(seed)
+    height = np.zeros(shape, np.float32)
+    for v, u in rng.integers(0, np.array(shape) - 9, (20, 2)):
+        height[v : v + 8, u : u + 8] = rng.uniform(0.02, 0.25)
+    color = np.repeat(np.round(height * 1000)[..., None], 3, axis=2).astype(
+        np.uint8
+    )  # which tells the height
+    closed_color, closed = with_gaps_closed(color, height, 5)
+    highest = cv2.dilate(color, np.ones((5, 5), np.uint8))
+    gaps = closed > height
+    assert (closed_color[gaps] == highest[gaps]).all()
+    assert (closed_color[~gaps] == color[~gaps]).all()
 
 
 def test_what_is_flat_keeps_every_mark():

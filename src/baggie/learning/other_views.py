@@ -49,9 +49,10 @@ def with_gaps_closed(
     gaps = closed > height + _GAP_M
     if not gaps.any():
         return color, height
-    # Of each pixel's surroundings the highest, told by its height in tenths of millimetres and its number.
+    # Of each pixel's surroundings the highest, told by its height in tenths of millimetres and its number: exact only
+    # in double precision.
     numbers = np.arange(height.size, dtype=float).reshape(height.shape)
-    highest = cv2.dilate(np.round(height * 1e4) * height.size + numbers, square)
+    highest = cv2.dilate(np.round(height.astype(float) * 1e4) * height.size + numbers, square)
     beside = (highest[gaps] % height.size).astype(int)
     closed_color = color.copy()
     closed_color[gaps] = color.reshape(-1, 3)[beside]
