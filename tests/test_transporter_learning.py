@@ -313,6 +313,8 @@ def test_how_often_things_look_the_same_is_printed_and_kept(tmp_path, capsys, gi
     config = (tmp_path / "config.yaml").read_text()
     older = yaml.safe_load(config)
     del older["training"]["symmetry"]
+    known = ("preset", "rotations", "symmetry", "pick_yaw", "orders")
+    older["model"]["network"] = {name: older["model"]["network"][name] for name in known}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(older))
     train(options(tmp_path, train=4, val=0, steps=1, symmetry=given), attempts)
 
