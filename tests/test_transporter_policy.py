@@ -15,8 +15,10 @@ from baggie.grid import Grid
 from baggie.policies import TransporterPolicy, load_policy
 from baggie.policies.keypoint_plan import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
-from baggie.policies.transporter.network import TransporterNet
+from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.paper import Attention, PaperMaps, ResidualFCN
+from baggie.policies.transporter.policy import _over_map
+from baggie.policies.transporter.quarter_turns import turned, turned_back
 from baggie.policies.transporter.sampling import patches
 from baggie.policies.transporter.scores import Scores, turn_angles
 from baggie.policies.transporter.soft_targets import PlaceAngle, soft_targets
@@ -74,6 +76,26 @@ def test_of_two_places_that_fit_as_well_the_coarse_look_decides(u, v, right, dow
         assert found == pytest.approx(truth.place, abs=0.35)
     alone = fine.given(coarse).read(truth).place
     assert alone == pytest.approx(fine.read(truth).place, abs=0.35)
+
+
+@given(st.integers(0, 3), st.integers(9, 30), st.integers(9, 30), st.integers(0, 1000))
+def test_a_view_of_a_map_that_was_turned_is_over_what_it_is_about(quarters, rows, columns, seed):
+    """Of sides that are not a multiple of 4 the last cell is partly outside, and may be the first after a turn."""
+    height, width = turned(np.zeros((rows, columns)), quarters).shape
+    u, v = (
+        float(np.random.default_rng([seed, axis]).integers(0, n)) for axis, n in ((0, width), (1, height))
+    )
+    cells = -(-height // CELL), -(-width // CELL)
+    logits = torch.zeros(1, 1, *cells)
+    logits[0, 0, int(v) // CELL, int(u) // CELL] = 5
+    look = Scores(logits, torch.full((1, 2), (CELL - 1) / 2), CELL, 1)
+    at = PlaceAngle(torch.tensor([[u, v]]), torch.zeros(1))
+    back = turned_back(Decision(at, at, [look], [look]), quarters, (rows, columns))
+    view = _over_map(back.places[0], (rows, columns))
+    assert view.shape == (rows, columns)
+    column, row = back.place.place[0].int().tolist()
+    assert view[row, column] == 1
+    assert np.count_nonzero(view == 1) <= CELL**2
 
 
 def look_at(place: torch.Tensor, shape: tuple[int, int], origin: torch.Tensor, stride: int) -> Scores:

@@ -233,5 +233,10 @@ def _over_map(scores: Scores, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """The heat of the first look at the map's own size, its peak at 1: `(H, W)`."""
     heat: Tensor = scores.heat()[0]
     heat = heat / heat.max()
-    full = heat.repeat_interleave(scores.stride, 0).repeat_interleave(scores.stride, 1)
-    return np.ascontiguousarray(full[: shape[0], : shape[1]].cpu().numpy(), np.float32)
+    # Of a map that was turned the cells need not begin at a corner.
+    first = ((scores.stride - 1) / 2 - scores.origin[0]).round().long().tolist()
+    u, v = (
+        ((torch.arange(size, device=heat.device) + off) // scores.stride).clamp(0, cells - 1)
+        for size, off, cells in zip(shape[::-1], first, heat.shape[::-1], strict=True)
+    )
+    return np.ascontiguousarray(heat[v[:, None], u].cpu().numpy(), np.float32)
