@@ -13,15 +13,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieWarning
-from baggie.geometry import rotation
+from baggie.geometry import PlanarPose, rotation
 from baggie.grid import Grid
-from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.demonstrations import Demonstrations, carried_in
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.symmetry import check_symmetries, found_symmetries
 from baggie.learning.things import Things, place_belongs_to
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import TransporterConfig
+from baggie.types import Observation, PickPlace
 from baggie.vision.carried import Carried, middle_of, place_of, with_turn
+from box_scenes import box_attempts
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
 """128 x 128 pixels."""
@@ -116,6 +118,28 @@ def test_what_was_not_carried_is_none():
     assert Carried.between(before, there, places + np.array([20.0, 0.0]), 0.0) is None  # picked beside it
     flat = drawn(outline, 0.002), drawn(after(outline, places, 0.0), 0.002)
     assert Carried.between(*flat, places, 0.0) is None
+
+
+def test_maps_of_different_grids_do_not_tell():
+    outline = shape(4, 9, 0.1, (50, 60))
+    places = np.array([[50.0, 60.0], [80.0, 70.0]])
+    heights = drawn(outline), drawn(after(outline, places, 0.0))
+    before, then = (
+        Observation(np.zeros((*GRID.shape, 3), np.uint8), grid=GRID, height=height) for height in heights
+    )
+    attempt = replace(
+        box_attempts(1, 0)[0],
+        before=before,
+        after=then,
+        commanded=PickPlace(*(PlanarPose(*xy, 0.0) for xy in GRID.to_robot(places).tolist())),
+    )
+    assert carried_in(attempt) is not None
+    smaller = Grid(x=GRID.x, y=(-0.2, 0.1), pixel_m=GRID.pixel_m)
+    shifted = Grid(x=(0.25 + 0.025, 0.65 + 0.025), y=GRID.y, pixel_m=GRID.pixel_m)
+    for grid in (smaller, shifted):
+        rows = grid.shape[0]
+        other = Observation(then.color[:rows], grid=grid, height=then.height[:rows])
+        assert carried_in(replace(attempt, after=other)) is None
 
 
 def carried_at(outline, pick, heights=None):

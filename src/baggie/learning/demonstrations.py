@@ -221,9 +221,14 @@ def read_demonstrations(
 
 
 def carried_in(attempt: Attempt) -> Carried | None:
-    """What an attempt carried from the height map before it to that after it; None where they do not tell."""
+    """What an attempt carried from the height map before it to that after it; None where they do not tell.
+
+    Nor do two of different grids.
+    """
     before, after, action = attempt.before, attempt.after, attempt.commanded
     if before.grid is None or before.height is None or after is None or after.height is None:
+        return None
+    if after.grid != before.grid:
         return None
     places = before.grid.to_pixels([action.pick.xy, action.place.xy])
     return Carried.between(before.height, after.height, places, action.place.yaw - action.pick.yaw)
