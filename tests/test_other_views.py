@@ -8,6 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from baggie.grid import Grid
+from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.other_views import Light, with_gaps_closed, with_shadow
 
 PIXEL_M = 0.003125
@@ -33,6 +36,18 @@ def test_gaps_that_are_narrower_are_closed_and_nothing_else_changes(gap, size):
     assert (closed_color[between] == (RED if gap < size else GRAY)).all()
     assert (closed[~between] == height[~between]).all()
     assert (closed_color[~between] == color[~between]).all()
+
+
+@pytest.mark.parametrize(("pixel_m", "closes"), [(0.003125, True), (0.01, False)])
+def test_what_is_wide_enough_to_look_into_stays_open_whatever_the_size_of_pixels(pixel_m, closes):
+    """Gaps of 3 pixels are scarcely 1 cm wide, or 3 cm: a hole for something."""
+    color, height = two_blocks(3)
+    grid = Grid(x=(0, 80 * pixel_m), y=(0, 60 * pixel_m), pixel_m=pixel_m)
+    (pick, place), still = grid.to_robot([[26, 26], [42, 26]]), Moves(share=0.0)
+    poses = np.array([[*pick, 0, *place, 0]])
+    maps = MovedMaps(Demonstrations(color[None], height[None], poses, np.ones(1, int), grid), still)
+    drawn = [maps.draw(np.random.default_rng(seed), [0])[0].height for seed in range(20)]
+    assert any((seen != height).any() for seen in drawn) == closes
 
 
 @given(st.integers(0, 1000), st.sampled_from([(40, 64), (157, 331), (61, 43)]))

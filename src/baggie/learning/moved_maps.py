@@ -22,6 +22,8 @@ _TRIES = 100
 _GAIN, _BIAS, _GAMMA = 0.08, 8.0, 0.1
 _INSIDE_PX = 16.0
 """So far inside a window are pick and place, with what is around them, unless the map ends there."""
+_GAPS_M = 0.009375, 0.015625
+"""Narrower gaps are closed: 3 or 5 of the usual pixels. Into wider ones cameras look, and things are put."""
 _OTHERWISE = 0.5
 """The share of samples in which gaps are closed, and of those with another shadow."""
 
@@ -102,11 +104,12 @@ class MovedMaps:
 
     def _seen_otherwise(self, rng: np.random.Generator, moved: MovedMap) -> MovedMap:
         """In slightly other light, and now and then as from another side."""
-        color, height = moved.color, moved.height
+        color, height, pixel_m = moved.color, moved.height, self._shown.grid.pixel_m
         if rng.random() < _OTHERWISE:
-            color, height = with_gaps_closed(color, height, int(rng.choice((3, 5))))
+            odd = 2 * round((rng.choice(_GAPS_M) / pixel_m - 1) / 2) + 1
+            color, height = with_gaps_closed(color, height, odd)
         if rng.random() < _OTHERWISE:
-            color = with_shadow(color, height, Light.random(rng), self._shown.grid.pixel_m)
+            color = with_shadow(color, height, Light.random(rng), pixel_m)
         gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
         bias = _BIAS * rng.uniform(-1, 1)
         gamma = math.exp(_GAMMA * rng.uniform(-1, 1))

@@ -42,7 +42,7 @@ def with_gaps_closed(
 ) -> tuple[Image, NDArray[np.float32]]:
     """Colours `(H, W, 3)` and heights `(H, W)` metres of a map whose gaps look like the highest thing beside them.
 
-    Closed are those narrower than `size_px`, an odd number of pixels.
+    Closed are those narrower than `size_px`, an odd number of pixels; none where that is 1.
     """
     square = np.ones((size_px, size_px), np.uint8)
     closed = cv2.morphologyEx(height, cv2.MORPH_CLOSE, square)
