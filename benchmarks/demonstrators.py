@@ -5,9 +5,9 @@
 
 `simulator`: tasks with blocks, shown in the style `varied`, the pyramid also in ours; three trainings with each number
 of demonstrations, each from demonstrations of its own; 100 unseen scenes each. `recordings`: one whole training on each
-imported recording in a folder, and of those with ten episodes ten more, each without one of them, whose steps are then
-planned. Each job is a process; what is there is not done again. Writes docs/results/demonstrators-NAME.{json,md}, one
-for each task or recording.
+imported recording in a folder, and of those with ten episodes that did their task ten more, each without one of them,
+whose steps are then planned. Each job is a process; what is there is not done again. Writes
+docs/results/demonstrators-NAME.{json,md}, one for each task or recording.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ TAUGHT = (
     Taught("block-pyramid", "plain", 1, 100),
 )
 LEFT_OUT = 10
-"""Episodes of a recording of which each is left out once."""
+"""Episodes of a recording that did their task, of which each is left out once."""
 IN_SIMULATOR = (
     "Each training has a seed and demonstrations of its own. Strict: every thing lies in a slot of its own when the "
     "episode ends, upright and so two seconds later; in brackets Wilson's 95% interval. Partial credit as Ravens "
@@ -59,7 +59,7 @@ IN_SIMULATOR = (
     "Times are the wall clock's, with another training beside."
 )
 ON_RECORDINGS = (
-    "Whole: a training on all episodes that did their task, to its end. Left out: as many trainings as there are "
+    "Whole: a training on all episodes that did their task, to its end. Left out: as many trainings as there are such "
     "episodes, each without one, whose steps that earned something are planned. A plan counts where it picks a thing "
     "that the rest of its stage still moves, and takes it within 1 cm and 15 degrees of a free slot of that stage, as "
     "the maps tell (docs/evaluating.md). Times are the wall clock's, with another training beside."
@@ -134,11 +134,14 @@ def judged(options: Options, taught: Taught, seed: int) -> dict[str, Any]:
 def recordings(options: Options) -> None:
     """On what was recorded elsewhere."""
     from baggie import open_dataset  # noqa: PLC0415 -- workers import this file
+    from baggie.data.annotation import did_its_task  # noqa: PLC0415
 
     names = sorted(path.name for path in options.imported.iterdir() if (path / "meta").is_dir())
     for name in options.only or names:
         folder = options.imported / name
-        episodes = sorted(set(open_dataset(folder).episodes.tolist()))
+        dataset = open_dataset(folder)
+        numbers, rewards = dataset.episodes, dataset.numbers()["reward"]
+        episodes = [each for each in sorted(set(numbers.tolist())) if did_its_task(rewards[numbers == each])]
         left_out = [None, *(episodes if len(episodes) == LEFT_OUT else ())]
         rows = all_of(options, planned, [(options, folder, episode) for episode in left_out])
         table = [rows[0] | {"left out": "nothing"}, *([summed(rows[1:])] if rows[1:] else [])]
@@ -155,7 +158,7 @@ def planned(options: Options, recording: Path, left_out: int | None) -> dict[str
     folder = options.runs / f"{recording.name}-{'whole' if left_out is None else f'without-{left_out}'}"
     chosen = TrainOptions(
         data=recording, out=folder, policy="transporter", device="cpu",
-        train=len({attempt.episode for attempt in beside}), val=0 if left_out is None else 1,
+        val=0 if left_out is None else 1,
     )  # fmt: skip
     with logged(folder):
         metrics = train(chosen, beside + [attempt for attempt in attempts if attempt.episode == left_out])
@@ -166,7 +169,9 @@ def planned(options: Options, recording: Path, left_out: int | None) -> dict[str
         }
         if left_out is not None:
             run(f"validate --policy {folder} --data {recording} --out {folder / 'validation'}")
-            row |= read(folder / "validation")["would_count"]
+            row |= read(folder / "validation").get(
+                "would_count", {}
+            )  # where the maps tell of none of its steps
     return row
 
 
@@ -176,9 +181,10 @@ def summed(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     row: dict[str, Any] = {"recording": parts[0]["recording"], "left out": f"each of {len(parts)}"}
     for name in ("pick", "place", "both"):
-        count = sum(part[name]["n"] for part in parts)
-        right = sum(round(part[name]["rate"] * part[name]["n"]) for part in parts)
-        row[f"{name} counts"] = rate(success_rate(right, count))
+        told = [part[name] for part in parts if name in part]
+        right = sum(round(each["rate"] * each["n"]) for each in told)
+        if told:
+            row[f"{name} counts"] = rate(success_rate(right, sum(each["n"] for each in told)))
     minutes = [part["trained in (min)"] for part in parts]
     return row | {"trained in (min)": round(sum(minutes) / len(minutes), 1)}
 
