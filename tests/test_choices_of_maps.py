@@ -297,6 +297,22 @@ def test_a_thing_may_take_the_slot_of_another_where_their_outlines_are_the_same(
             assert choices[0].place_counts(action_of(poses[thing], alike)) is (own is other)
 
 
+def test_two_things_are_compared_once_however_many_steps_are_left(monkeypatch):
+    """It is what takes the time: else it would grow with the cube of how many things there are."""
+    compared = []
+
+    def counted(mask, other, symmetry):
+        compared.append((mask.tobytes(), other.tobytes()))
+        return turn_onto(mask, other, symmetry)
+
+    monkeypatch.setattr("baggie.evaluation.choices_of_maps.turn_onto", counted)
+    poses = [PlanarPose(0.3 + 0.1 * (n // 4), -0.2 + 0.1 * (n % 4), 0.3 * n) for n in range(5)]
+    moves = [Move(n, PlanarPose(0.6 + 0.07 * (n // 4), -0.2 + 0.1 * (n % 4), 0.1)) for n in range(5)]
+    choices = choices_of_episode(steps_of([SQUARE] * 5, poses, moves)).values()
+    assert [len(each.things) for each in choices] == [5, 4, 3, 2, 1]
+    assert len(compared) == len(set(compared)) == 5 * 4
+
+
 def mask_of(outline: np.ndarray, pose: PlanarPose) -> np.ndarray:
     return drawn([(outline, pose)]) > 0
 

@@ -6,8 +6,9 @@ have nothing to do with each other could have come in any order: before each of 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -102,9 +103,17 @@ def choices_of_episode(steps: Sequence[CarriedStep]) -> dict[int, MapChoices]:
     right = [number for number, step in enumerate(steps) if step.right]
     stages = dict(zip(right, stages_of([steps[number].carried for number in right]), strict=True))
     found = {}
+
+    @cache  # the same of two things before every step of their stage
+    def turn(number: int, other: int) -> float | None:
+        if number == other:
+            return 0.0
+        thing, there = steps[number].carried, steps[other]
+        return turn_onto(thing.stood, there.carried.stood, there.symmetry)
+
     for now in right:
         left = [later for later in right if later >= now and stages[later] == stages[now]]
-        things = [_seen(steps, now, thing, left) for thing in left]
+        things = [_seen(steps, now, thing, left, turn) for thing in left]
         found[steps[now].attempt.attempt_id] = MapChoices(
             [thing for thing in things if len(thing.seen)], steps[now].grid.pixel_m
         )
@@ -124,8 +133,18 @@ def stages_of(things: Sequence[Carried]) -> list[int]:
     return stages
 
 
-def _seen(steps: Sequence[CarriedStep], now: int, number: int, left: Sequence[int]) -> SeenThing:
-    """What the step `number` carries, as it is before the step `now`, and into which slots of those `left` it fits."""
+def _seen(
+    steps: Sequence[CarriedStep],
+    now: int,
+    number: int,
+    left: Sequence[int],
+    turn_between: Callable[[int, int], float | None],
+) -> SeenThing:
+    """What the step `number` carries, as it is before the step `now`, and into which slots of those `left` it fits.
+
+    `turn_between`: radians by which what one step carries has to be turned to lie as what another does; None where it
+    is of another kind.
+    """
     mask, mover = steps[number].carried.stood, number
     for earlier in reversed(range(now, number)):  # where it had been before a step that was not right
         put = steps[earlier]
@@ -135,8 +154,7 @@ def _seen(steps: Sequence[CarriedStep], now: int, number: int, left: Sequence[in
     grid = steps[now].grid
     middle, fits = middle_of(mask), []
     for other in left:
-        step = steps[other]
-        turn = 0.0 if other == mover else turn_onto(mask, step.carried.stood, step.symmetry)
+        step, turn = steps[other], turn_between(mover, other)
         if turn is not None:
             fits.append(Fit(pose_at(middle, -turn, grid), step.slot, step.symmetry))
     # It is seen where the map is as high as when it was moved; where it is higher, something else covers it.
