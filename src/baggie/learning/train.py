@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -202,10 +202,17 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
         unsaid = {name: asked["training"][name] for name in _LATELY if name in asked["training"]}
         found["training"] = unsaid | found.get("training", {})
         found["camera_size"] = asked["camera_size"]
-        if found != asked:
+        if _chosen(found) != _chosen(asked):
             raise DataError(
                 f"{options.out} holds a training with other options or data: give another --out, or delete it"
             )
     elif accelerator.is_main_process:
         checkpoint.write_files(options.out, {checkpoint.CONFIG: checkpoint.config_bytes(policy.config())})
     accelerator.wait_for_everyone()
+
+
+def _chosen(config: Any) -> Any:
+    """A config without what nobody chose: what is None here an older version may not have known."""
+    if not isinstance(config, Mapping):
+        return config
+    return {name: _chosen(value) for name, value in config.items() if value is not None}

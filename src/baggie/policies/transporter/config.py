@@ -56,8 +56,8 @@ class TransporterConfig:
         return max(1, self.orders // max(fold, 1))
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types; what nobody chose is left out, as older versions did not know it."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        """In plain YAML types."""
+        return asdict(self)
 
     @classmethod
     def of(cls, config: Mapping[str, Any]) -> Self:
