@@ -329,6 +329,16 @@ def test_at_its_even_speed_the_tool_is_as_fast_all_along_a_path(x: float, y: flo
     assert rates.max() == pytest.approx(1.0)  # faster, one joint would be too fast
 
 
+def test_where_the_tool_stays_it_has_no_speed_to_keep() -> None:
+    kinematics = Kinematics(arm_spec("cup").compile(), HOME)
+    path = kinematics.line(HOME, ToolPose(0.45, 0.1, 0.1, 0.0))
+    turned = HOME + np.array([0, 0, 0, 0, 0, 0, 0.3])  # about the tool's own axis
+    speed = kinematics.even_speed(path, JOINT_SPEED_LIMITS)
+    assert kinematics.even_speed(np.stack([turned, *path, path[-1]]), JOINT_SPEED_LIMITS) == speed
+    for still in ([HOME], [HOME, HOME], [HOME, turned]):
+        assert kinematics.even_speed(np.stack(still), JOINT_SPEED_LIMITS) == np.inf
+
+
 @given(st.floats(0.4, 0.6), st.floats(-0.25, 0.25), st.floats(-3.2, 3.2), st.integers(-20, 20))
 def test_a_line_turns_the_shorter_way_if_joints_allow_and_never_goes_round(
     x: float, y: float, yaw: float, turns: int

@@ -30,6 +30,8 @@ ROTATION_TOLERANCE_RAD = 0.002
 _ASTRAY_M = 0.004
 """A path that strays so far from its line runs along a joint's limit, where the arm has to swing round."""
 _STEP = 0.03  # metres and, for yaw, radians/5 between two solutions; between them joints are interpolated
+_STAYS_M = 1e-9
+"""So little a tool moves where only joints turn, by rounding."""
 
 Line = Callable[[FloatArray, ToolPose], FloatArray]
 """Joint positions `(N, J)` on the way from some `(J,)` to a pose."""
@@ -162,11 +164,13 @@ class Kinematics:
     def even_speed(self, path: FloatArray, joint_speeds_rad_s: FloatArray) -> float:
         """The highest speed, m/s, at which the tool can follow all of a joint path `(N, J)` evenly.
 
-        Along all of it no joint is faster then than `joint_speeds_rad_s` `(J,)`.
+        Along all of it no joint is faster then than `joint_speeds_rad_s` `(J,)`. Where the tool stays where it is, it
+        has no speed to keep; infinite where it does all along.
         """
         stretches = self.shortest_times(path, math.inf, joint_speeds_rad_s)
-        lengths = [float(np.linalg.norm(b.xyz - a.xyz)) for a, b in pairwise(map(self.tool_pose, path))]
-        return float(np.min(lengths / stretches))
+        tool = [np.linalg.norm(b.xyz - a.xyz) for a, b in pairwise(map(self.tool_pose, path))]
+        speeds = [length / time for length, time in zip(tool, stretches, strict=True) if length > _STAYS_M]
+        return float(min(speeds, default=math.inf))
 
     def approach(self, start: FloatArray, transform: FloatArray) -> FloatArray:
         """Joint positions `(J,)` for `transform`, `T_base_hand` `(4, 4)`, a centimetre or so from those of `start`.
