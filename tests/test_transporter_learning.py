@@ -319,6 +319,27 @@ def test_how_often_things_look_the_same_is_printed_and_kept(tmp_path, capsys, gi
     train(options(tmp_path, train=4, val=0, steps=1, symmetry=given), attempts)
 
 
+def test_what_an_older_version_finished_is_found_finished(tmp_path, monkeypatch, capsys):
+    """It took another number of steps unless one was given; another number that was given is another training."""
+    monkeypatch.setattr(TransporterRecipe, "steps_before", 2)
+    train(options(tmp_path / "older", steps=2), ATTEMPTS)
+    assert train(options(tmp_path / "older", steps=None), ATTEMPTS)["steps"] == 2
+    assert "finished" in capsys.readouterr().err
+    train(options(tmp_path / "other", steps=1), ATTEMPTS)
+    with pytest.raises(DataError, match="other options or data"):
+        train(options(tmp_path / "other", steps=None), ATTEMPTS)
+
+
+@pytest.mark.parametrize(("preset", "shadowed"), [("paper", False), ("fast", True)])
+def test_the_published_recipe_casts_no_shadows(preset, shadowed):
+    """Of a map in which light varies by a gain for each channel alone, pixels alike stay alike."""
+    shown = box_demonstrations(1, 0, grid=GRID)
+    flat = replace(shown, colors=np.full_like(shown.colors, 120))
+    choices = TransporterOptions(preset, rotations=3, rearranged=0.0, batch=8, moves=Moves(0.0))
+    colors = TransporterRecipe(flat, choices).batch(np.random.default_rng(0))["color"]
+    assert bool((colors.flatten(2).amax(dim=2) > colors.flatten(2).amin(dim=2)).any()) == shadowed
+
+
 def test_an_interrupted_training_ends_in_the_same_weights(tmp_path, monkeypatch):
     train(options(tmp_path / "whole"), ATTEMPTS)
     learn, calls = TransporterRecipe.loss, []

@@ -24,8 +24,6 @@ _INSIDE_PX = 16.0
 """So far inside a window are pick and place, with what is around them, unless the map ends there."""
 _GAPS_M = 0.009375, 0.015625
 """Narrower gaps are closed: 3 or 5 of the usual pixels. Into wider ones cameras look, and things are put."""
-_OTHERWISE = 0.5
-"""The share of samples in which gaps are closed, and of those with another shadow."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,9 @@ class Moves:
     margin_px: float = 2.0
     """Pick and place stay at least this far inside the map."""
     recolor: bool = True
-    """Whether light and colour vary a little, and what cameras see of gaps and shadows."""
+    """Whether light and colour vary a little."""
+    other_views: float = 0.5
+    """The share of samples in which gaps are closed, and of those with another shadow; none unless colours vary."""
 
 
 class MovedMap(NamedTuple):
@@ -105,10 +105,10 @@ class MovedMaps:
     def _seen_otherwise(self, rng: np.random.Generator, moved: MovedMap) -> MovedMap:
         """In slightly other light, and now and then as from another side."""
         color, height, pixel_m = moved.color, moved.height, self._shown.grid.pixel_m
-        if rng.random() < _OTHERWISE:
+        if rng.random() < self._moves.other_views:
             odd = 2 * round((rng.choice(_GAPS_M) / pixel_m - 1) / 2) + 1
             color, height = with_gaps_closed(color, height, odd)
-        if rng.random() < _OTHERWISE:
+        if rng.random() < self._moves.other_views:
             color = with_shadow(color, height, Light.random(rng), pixel_m)
         gain = 1 + _GAIN * rng.uniform(-1, 1, 3)
         bias = _BIAS * rng.uniform(-1, 1)

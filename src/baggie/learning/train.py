@@ -65,7 +65,7 @@ def train(
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
     recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
-    steps = recipe.steps if options.steps is None else options.steps
+    steps = options.steps or _begun_with(options, recipe) or recipe.steps
     if isinstance(recorded, Dataset):
         recipe.policy.camera_size = recorded.camera_size
     recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
@@ -191,6 +191,14 @@ def _fingerprint(attempts: Sequence[Attempt]) -> str:
     """Changes when other attempts were recorded under the same name: a hash of what was done in them."""
     done = [(attempt.commanded.to_array(), attempt.outcome.executed.to_array()) for attempt in attempts]
     return hashlib.sha256(np.array(done).tobytes()).hexdigest()[:16]
+
+
+def _begun_with(options: TrainOptions, recipe: Recipe) -> int | None:
+    """The steps of a training that an older version began in the folder, where that usually took so many."""
+    if not isinstance(recipe, TransporterRecipe) or not (options.out / checkpoint.CONFIG).exists():
+        return None
+    begun = checkpoint.read_config(options.out).get("training") or {}
+    return recipe.steps_before if begun.get("steps") == recipe.steps_before else None
 
 
 def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerator) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,6 +67,8 @@ class TransporterRecipe:
 
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 10.0
+    steps_before: ClassVar[int] = 3200
+    """Of older versions, whose trainings go on."""
     policy: TransporterPolicy
 
     def __init__(
@@ -105,7 +107,8 @@ class TransporterRecipe:
         }
         """Who said how often things look the same a turn, how often they do, and how often all of them do."""
         share = _REARRANGED[options.preset] if options.rearranged is None else options.rearranged
-        self._maps = MovedMaps(demonstrations, options.moves, share, _WINDOW[options.preset])
+        moves = options.moves if options.preset == "fast" else replace(options.moves, other_views=0.0)
+        self._maps = MovedMaps(demonstrations, moves, share, _WINDOW[options.preset])
         # Held beside its middle, a thing that was turned otherwise has another place: then only the one shown is right.
         self._symmetry = np.where(beside, config.symmetry, demonstrations.symmetry)
         self._grasps = np.where(beside, _FINGERS, np.lcm(_FINGERS, demonstrations.symmetry))
