@@ -169,9 +169,8 @@ def planned(options: Options, recording: Path, left_out: int | None) -> dict[str
         }
         if left_out is not None:
             run(f"validate --policy {folder} --data {recording} --out {folder / 'validation'}")
-            row |= read(folder / "validation").get(
-                "would_count", {}
-            )  # where the maps tell of none of its steps
+            found = read(folder / "validation")
+            row |= found.get("would_count", {})  # nothing where the maps tell of none of its steps
     return row
 
 

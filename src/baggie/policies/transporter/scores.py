@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
+from baggie.policies.transporter.sampling import patches
 from baggie.policies.transporter.soft_targets import (
     PlaceAngle,
     bin_angles,
@@ -85,23 +85,15 @@ class Scores(NamedTuple):
         """The same of a finer look, given what a coarser one said: the product of both, whatever its angles.
 
         A finer look is taught to tell places near by from each other, all as likely; how likely they are the coarser
-        one knows. A look at one cell, or after one at one cell, stays as it is.
+        one, at every cell of the map, knows. A look at one cell, or after one at one cell, stays as it is; else it is
+        square, at pixels.
         """
-        _, _, height, width = self.logits.shape
-        heat = before.heat()
-        if height == width == 1 or heat.shape[1] == heat.shape[2] == 1:
+        heat, size = before.heat(), self.logits.shape[-1]
+        if size == 1 or heat.shape[1] == heat.shape[2] == 1:
             return self
-        rows = torch.arange(height, device=heat.device) * self.stride
-        columns = torch.arange(width, device=heat.device) * self.stride
-        v, u = torch.meshgrid(rows, columns, indexing="ij")
-        pixels = self.origin[:, None, None] + torch.stack([u, v], dim=-1)
-        cells = (pixels - before.origin[:, None, None]) / before.stride
-        # `align_corners=True`: -1 and 1 are the centres of the outermost cells.
-        last = cells.new_tensor([heat.shape[2] - 1.0, heat.shape[1] - 1.0]).clamp_min(1.0)
-        near = F.grid_sample(heat[:, None], 2 * cells / last - 1, padding_mode="border", align_corners=True)
-        return self._replace(
-            logits=self.logits + torch.log(near + _DOUBT * heat.amax(dim=(1, 2))[:, None, None, None])
-        )
+        near = patches(heat[:, None], self.origin + size // 2, size, before.stride)
+        doubt = _DOUBT * heat.amax(dim=(1, 2))[:, None, None, None]
+        return self._replace(logits=self.logits + torch.log(near + doubt))
 
     def heat(self) -> Tensor:
         """How likely each cell is, whatever the angle: `(B, h, w)`, sums to 1."""
