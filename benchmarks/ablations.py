@@ -16,14 +16,12 @@ import torch
 import tyro
 from torch import Tensor, nn
 
-from baggie.data.augmentation import WarpRange
-from baggie.evaluation.results import provenance, write_results
+from baggie.learning.augmentation import WarpRange
 from baggie.learning.keypoint import IntArray, KeypointOptions, KeypointRecipe
 from baggie.learning.samples import Changes
-from baggie.policies.features import Backbone
-from baggie.policies.keypoint_net import KeypointNet
-from baggie.policies.planar_map import PlanarMap
-from baggie.policies.soft_argmax import heat_maps, soft_argmax
+from baggie.policies.keypoint.heads import PlanarMap, heat_maps, soft_argmax
+from baggie.policies.keypoint.network import Backbone, KeypointNet
+from baggie.results import provenance, write_results
 from teaching import Lesson, teach_all
 
 

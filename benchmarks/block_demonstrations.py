@@ -25,10 +25,10 @@ import baggie.sim  # noqa: F401  # before MuJoCo, which looks for an OpenGL libr
 # isort: split
 import mujoco
 
-from baggie.sim.depth_cameras import DepthRenderer
-from baggie.sim.kinematics import Kinematics
-from baggie.sim.tasks import TASKS
-from baggie.workcell import height_map_camera
+from baggie.cameras import camera as height_map_camera
+from baggie.robot.kinematics import Kinematics
+from baggie.sim.renderer import DepthRenderer
+from baggie.tasks import TASKS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
 from commands import write_and_show
 from stopwatch import timed

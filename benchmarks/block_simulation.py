@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 
 from baggie.geometry import PlanarPose, wrap_angle
+from baggie.robot.kinematics import Kinematics
+from baggie.robot.primitives import pick, place
+from baggie.sim.arm import BLOCK_HANDLING, SuctionArm
 from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block, stand
 from baggie.sim.cell import draw_cell
-from baggie.sim.kinematics import Kinematics
-from baggie.workcell.primitives import pick, place
-from baggie.workcell.suction_arm import BLOCK_HANDLING, SuctionArm
 from stopwatch import timed
 
 EPISODES = 5

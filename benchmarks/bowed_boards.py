@@ -29,12 +29,12 @@ from rich.progress import track
 from scipy.stats import chi2
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.intrinsics.board_views import BoardView
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, import_intrinsics
 from baggie.calibration.intrinsics.fit import fit_intrinsics
-from baggie.evaluation.results import provenance, write_results
+from baggie.calibration.intrinsics.views import BoardView
 from baggie.geometry import FloatArray
 from baggie.processes import stream_in_processes
+from baggie.results import provenance, write_results
 from baggie.types import Image, Intrinsics
 from baggie.vision.targets import Seen, parse_target
 from board_pictures import lens_error_px, random_pose, render_board

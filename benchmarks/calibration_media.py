@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from baggie.cli import main as baggie
+from baggie.cli.main import main as baggie
 from baggie.commissioning.printed import BOARD
 from baggie.evaluation.pictures import save_jpeg
+from baggie.pictures import read_picture
 from baggie.types import Image
-from baggie.vision.picture_files import read_picture
 from baggie.vision.printing import draw_target
 from baggie.vision.targets import parse_target
 

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 import baggie
-from baggie.evaluation.results import provenance, write_results
+from baggie.results import provenance, write_results
 
 RESULTS = Path("docs/results")
 

@@ -26,8 +26,8 @@ def start(words: list[str], **options: Any) -> subprocess.Popen[str]:
 
 def run(command: str) -> None:
     """A `baggie` command, shown before it runs; ends the experiment with its exit status where it fails."""
-    from baggie.cli import DONE  # noqa: PLC0415 -- worker processes import this file
-    from baggie.cli import main as baggie  # noqa: PLC0415
+    from baggie.cli.main import DONE  # noqa: PLC0415 -- worker processes import this file
+    from baggie.cli.main import main as baggie  # noqa: PLC0415
 
     print(f"$ baggie {command}", file=sys.stderr)
     status = baggie(shlex.split(command))
@@ -66,7 +66,7 @@ def spread_ms(ms: ArrayLike) -> dict[str, float]:
 
 def write_and_show(name: str, title: str, rows: list[dict[str, Any]], notes: str) -> None:
     """Write docs/results/NAME.{json,md}, and print the latter."""
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- as above
+    from baggie.results import provenance, write_results  # noqa: PLC0415 -- as above
 
     _, table = write_results(Path("docs/results") / name, title, rows, provenance(), notes)
     print(table.read_text())

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baggie.learning.background import flushed_denormals
-from baggie.policies.transporter.correlation import Method, correlate
+from baggie.learning.loop import flushed_denormals
+from baggie.policies.transporter.spatial import Method, correlate
 
 METHODS: tuple[Method, Method] = ("fft", "direct")
 

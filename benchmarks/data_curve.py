@@ -16,8 +16,8 @@ import matplotlib as mpl
 import numpy as np
 import tyro
 
-from baggie.evaluation.results import provenance, write_results
 from baggie.learning.keypoint import KeypointRecipe
+from baggie.results import provenance, write_results
 from teaching import Lesson, teach_all
 
 COUNTS = (10, 25, 50, 100, 200, 400)

@@ -23,11 +23,11 @@ import torch
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.data.annotation import goal_of
+from baggie.data.summary import goal_of
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy, RegressionPolicy, load_policy
 from baggie.policies.export import export_policy
-from baggie.policies.regression import RegressionNet
+from baggie.policies.regression.policy import RegressionNet
 from commands import spread_ms, write_and_show
 from synthetic import RED, make_attempt, to_pixels
 

@@ -18,7 +18,7 @@ import numpy as np
 from baggie.collect.options import CollectedStyle
 from baggie.errors import LimitError, ReachError
 from baggie.seeds import COLLECTION, STYLE, generator
-from baggie.sim.tasks import TASKS
+from baggie.tasks import TASKS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
 from commands import write_and_show
 

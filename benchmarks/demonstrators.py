@@ -134,7 +134,7 @@ def judged(options: Options, taught: Taught, seed: int) -> dict[str, Any]:
 def recordings(options: Options) -> None:
     """On what was recorded elsewhere."""
     from baggie import open_dataset  # noqa: PLC0415 -- workers import this file
-    from baggie.data.annotation import did_its_task  # noqa: PLC0415
+    from baggie.data.summary import did_its_task  # noqa: PLC0415
 
     names = sorted(path.name for path in options.imported.iterdir() if (path / "meta").is_dir())
     for name in options.only or names:
@@ -176,7 +176,7 @@ def planned(options: Options, recording: Path, left_out: int | None) -> dict[str
 
 def summed(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The trainings of one recording as one row."""
-    from baggie.evaluation.metrics import success_rate  # noqa: PLC0415 -- workers import this file
+    from baggie.metrics import success_rate  # noqa: PLC0415 -- workers import this file
 
     row: dict[str, Any] = {"recording": parts[0]["recording"], "left out": f"each of {len(parts)}"}
     for name in ("pick", "place", "both"):
@@ -214,7 +214,7 @@ def logged(folder: Path) -> Iterator[None]:
 
 def write(options: Options, name: str, title: str, rows: list[dict[str, Any]], notes: str) -> None:
     """The table."""
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
+    from baggie.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
 
     write_results(options.results / f"demonstrators-{name}", title, rows, provenance([options.seed]), notes)
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from baggie.collect.machine import LANDING_DOUBTED_M
 from baggie.data import open_dataset
-from baggie.data.layout import CALIBRATION_FOLDER, Layout
+from baggie.data.files import CALIBRATION_FOLDER, Layout
 from baggie.data.summary import inspect_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.lab.control import LabControl
+from baggie.lab.web import LabControl
 from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.types import Attempt, Observation
 from baggie.workcell.workcell import WorkcellSettings

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import tyro
 
-from baggie.evaluation.results import provenance, write_results
-from baggie.lab.control import LabControl
+from baggie.lab.web import LabControl
+from baggie.results import provenance, write_results
 from commands import start
 from fault_night import Night, read_lines
 from rehearsal import MAP, UNCALIBRATED, calibrate

@@ -25,6 +25,7 @@ import numpy as np
 import tyro
 
 import baggie
+from baggie.cameras.camera import check_camera
 from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.commissioning.printed import HAND_MARKER
 from baggie.data import open_dataset
@@ -32,11 +33,10 @@ from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
-from baggie.evaluation.results import provenance, write_json, write_results
-from baggie.vision.picture_files import read_picture, write_picture
+from baggie.pictures import read_picture, write_picture
+from baggie.results import provenance, write_json, write_results
+from baggie.robot.contract import check_arm
 from baggie.vision.targets import Marker, Target, parse_target
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.camera_contract import check_camera
 from commands import ENDS_WITH_US, rate
 from rehearsal import answer
 

@@ -36,7 +36,7 @@ class Options:
 
 def main(options: Options) -> None:
     """Run what is missing and write the table."""
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
+    from baggie.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
 
     subjects = {
         "keypoint, plain recording": options.recordings / f"cell-{options.cell}",

@@ -16,11 +16,11 @@ import numpy as np
 import tyro
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.calibration.image_to_robot.raise_card import raise_card
+from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.calibrate import calibrate
 from baggie.evaluation.goals import draw_goal
-from baggie.evaluation.results import provenance, write_results
 from baggie.geometry import PlanarPose
+from baggie.results import provenance, write_results
 from baggie.seeds import EVALUATION
 from baggie.sim.variety import Scenery
 from baggie.vision.goal_card import find_card

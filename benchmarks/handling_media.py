@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from baggie.evaluation.pictures import save_jpeg
+from baggie.robot.arm import ArmInfo
+from baggie.robot.handling_rules import Thing, handled
+from baggie.robot.primitives import Handling
 from baggie.types import Image
-from baggie.workcell.arm import ArmInfo
-from baggie.workcell.handling_rules import Thing, handled
-from baggie.workcell.primitives import Handling
 from baggie.workcell.workcell import WorkcellSettings
 
 MM = 1000.0

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cv2
 import numpy as np
 
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.types import Intrinsics
 from baggie.vision import height_map
 from baggie.vision.height_map import fuse

@@ -8,13 +8,13 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.places import random_place
+from baggie.collect.machine import random_place
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, wrap_angle
+from baggie.robot.primitives import pick, place
 from baggie.types import Image
-from baggie.vision import hue
+from baggie.vision import color_mask as hue
 from baggie.vision.color_mask import find_bag
-from baggie.workcell.primitives import pick, place
 from baggie.workcell.simulated import SimulatedWorkcell
 
 STREAM = 0x5EC0

@@ -18,13 +18,13 @@ import numpy as np
 import tyro
 
 from baggie.evaluation.bag_place import BAGS, open_any_bench
-from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import append_line, read_lines, read_log
-from baggie.evaluation.results import provenance, write_results
+from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
-from baggie.lab.control import LabControl
+from baggie.lab.web import LabControl
+from baggie.results import provenance, write_results
 from baggie.types import Observation
 from rehearsal import Options as Rehearsal
 from rehearsal import calibrate, lab, step

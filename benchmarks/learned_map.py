@@ -15,18 +15,16 @@ import tyro
 
 import baggie
 from baggie.calibration.files import MAP_FILE
-from baggie.calibration.image_to_robot.comparison import lattice
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
-from baggie.calibration.image_to_robot.picture import draw_comparison
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.calibration.image_to_robot.residuals import draw_comparison, lattice
+from baggie.data.files import CALIBRATION_FOLDER
 from baggie.evaluation.pictures import save_jpeg
-from baggie.evaluation.results import provenance, write_results
 from baggie.geometry import Rectangle
-from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.learned_map import as_calibration
+from baggie.pictures import read_picture
+from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration
+from baggie.results import provenance, write_results
 from baggie.sim.bag import FULL_HEIGHT_M
 from baggie.sim.cell import draw_cell
-from baggie.vision.picture_files import read_picture
 
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 import baggie
 from baggie import seeds
-from baggie.collect.places import random_place
+from baggie.collect.machine import random_place
 from baggie.evaluation.pictures import Region, heat_over, save_jpeg
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal

@@ -68,7 +68,7 @@ def main(options: Options) -> None:
 
 def write(name: str, title: str, rows: list[dict[str, Any]], seeds: list[int], notes: str) -> None:
     """The table of one experiment."""
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415
+    from baggie.results import provenance, write_results  # noqa: PLC0415
 
     write_results(RESULTS / f"published-{name}", title, rows, provenance(seeds), notes)
 
@@ -222,7 +222,7 @@ def printed_card(options: Options) -> None:
 def card_color(options: Options) -> tuple[int, int, int]:
     """The card's RGB colour as some pictures in the new light show it."""
     from baggie import seeds  # noqa: PLC0415
-    from baggie.collect.places import random_place  # noqa: PLC0415
+    from baggie.collect.machine import random_place  # noqa: PLC0415
     from baggie.vision.goal_card import find_card  # noqa: PLC0415
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
@@ -253,7 +253,7 @@ def card_color(options: Options) -> tuple[int, int, int]:
 
 def color_mask(options: Options) -> None:
     """The colour-mask system's angles: how often it takes a bag that lies otherwise for one at 45 degrees."""
-    from baggie.collect.places import FALSE_45_RAD  # noqa: PLC0415
+    from baggie.collect.machine import FALSE_45_RAD  # noqa: PLC0415
 
     rows = []
     for name, readings in angle_readings(options).items():
@@ -286,7 +286,7 @@ def color_mask(options: Options) -> None:
 def angle_readings(options: Options) -> dict[str, list[tuple[float, float]]]:
     """(read, true) yaws by policy, of every cell with a recording."""
     import baggie  # noqa: PLC0415
-    from baggie.data.layout import CALIBRATION_FOLDER  # noqa: PLC0415
+    from baggie.data.files import CALIBRATION_FOLDER  # noqa: PLC0415
     from baggie.policies import ColorMaskPolicy  # noqa: PLC0415
 
     found: dict[str, list[tuple[float, float]]] = {"color-mask": [], "keypoint": []}
@@ -301,7 +301,7 @@ def angle_readings(options: Options) -> dict[str, list[tuple[float, float]]]:
 
 def yaws(policy: Policy, attempts: Sequence[Attempt]) -> list[tuple[float, float]]:
     """(read, true) of the bag before each attempt."""
-    from baggie.data.annotation import goal_of  # noqa: PLC0415
+    from baggie.data.summary import goal_of  # noqa: PLC0415
 
     return [
         (policy.plan(attempt.before, goal_of(attempt)).action.pick.yaw, attempt.truth.before.yaw)

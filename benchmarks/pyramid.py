@@ -122,7 +122,7 @@ def evaluated(options: Options, folder: Path, episodes: int) -> dict[str, Any]:
 
 def write(name: str, title: str, rows: list[dict[str, Any]], options: Options, notes: str) -> None:
     """The table; those of `paper` have names of their own."""
-    from baggie.evaluation.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
+    from baggie.results import provenance, write_results  # noqa: PLC0415 -- workers import this file
 
     stem = options.results / (name + "-paper" * (options.preset == "paper"))
     write_results(stem, title, rows, provenance([options.seed]), notes)

@@ -25,9 +25,9 @@ from typing import Any
 import tyro
 
 from baggie.data import open_dataset
-from baggie.evaluation.results import provenance, write_json, write_results
 from baggie.geometry import PlanarPose
-from baggie.lab.control import LabControl
+from baggie.lab.web import LabControl
+from baggie.results import provenance, write_json, write_results
 from baggie.workcell.workcell_file import read_workcell_file
 from commands import rate, start
 

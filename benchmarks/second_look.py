@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 import baggie
 from baggie.collect.calibrate import calibrate
-from baggie.evaluation.results import provenance, write_results
 from baggie.geometry import FloatArray
+from baggie.results import provenance, write_results
 from baggie.workcell.simulated import SimulatedWorkcell
 from held_bag import STREAM, attempt, xy
 

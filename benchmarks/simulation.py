@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 
 from baggie.geometry import PlanarPose, wrap_angle
+from baggie.robot.primitives import pick
 from baggie.sim.scene import TIMESTEP_S, arm_spec
 from baggie.types import PickPlace
-from baggie.workcell.primitives import pick
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 
 ROUNDS = 7

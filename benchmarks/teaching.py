@@ -14,14 +14,14 @@ import numpy as np
 import torch
 
 from baggie.data import open_dataset
-from baggie.data.annotation import goal_of
-from baggie.evaluation.metrics import yaw_error_deg
+from baggie.data.summary import goal_of
 from baggie.geometry import FloatArray, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.split import Split
+from baggie.metrics import yaw_error_deg
 from baggie.policies import load_policy
-from baggie.policies.keypoint import KeypointPolicy
+from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.processes import stream_in_processes
 from baggie.types import Attempt
 

@@ -21,9 +21,8 @@ import cv2
 import numpy as np
 import torch
 
-from baggie.learning.background import flushed_denormals, prefetched
 from baggie.learning.keypoint import KeypointRecipe
-from baggie.learning.recipe import Recipe
+from baggie.learning.loop import Recipe, flushed_denormals, prefetched
 from baggie.learning.regression import RegressionRecipe
 from commands import spread_ms, write_and_show
 from synthetic import make_attempt

@@ -24,8 +24,8 @@ import cv2
 import numpy as np
 import torch
 
-from baggie.grid import Grid
-from baggie.learning.background import flushed_denormals
+from baggie.geometry import Grid
+from baggie.learning.loop import flushed_denormals
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import Preset
 from baggie.types import Observation

@@ -38,7 +38,7 @@ class Demo:
 
 def run(demo: Demo) -> int:
     """Run every step; the exit status of the first that fails, else 0."""
-    from baggie.cli import DONE, main  # noqa: PLC0415 -- worker processes import this file, and need none of it
+    from baggie.cli.main import DONE, main  # noqa: PLC0415 -- worker processes import this file, and need none of it
 
     console = Console(stderr=True)
     start = time.monotonic()

@@ -19,10 +19,10 @@ import numpy as np
 
 from baggie.errors import ArmError, ReachError
 from baggie.geometry import ToolPose, wrap_angle
-from baggie.sim.kinematics import QUINTIC_PEAK, quintic
-from baggie.workcell.arm import ArmInfo
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.limits import GuardedArm
+from baggie.robot.kinematics import QUINTIC_PEAK, quintic
+from baggie.robot.arm import ArmInfo
+from baggie.robot.contract import check_arm
+from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
 
 PERIOD_S = 0.02
@@ -57,7 +57,7 @@ class ImaginaryRobot:
 
 
 class OwnArm:
-    """The eight methods of `baggie.workcell.arm.Arm`, and `close`."""
+    """The eight methods of `baggie.robot.arm.Arm`, and `close`."""
 
     def __init__(
         self, robot: ImaginaryRobot, reach_m: float, sleep: Callable[[float], None] = time.sleep

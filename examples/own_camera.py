@@ -14,9 +14,9 @@ import time
 
 import numpy as np
 
+from baggie.cameras.camera import check_camera
 from baggie.errors import CameraError
 from baggie.types import Image, Intrinsics, Observation
-from baggie.workcell.camera_contract import check_camera
 
 
 class ImaginaryCamera:
@@ -35,7 +35,7 @@ class ImaginaryCamera:
 
 
 class OwnCamera:
-    """Three attributes and a method of `baggie.workcell.camera.Camera`, and `close`."""
+    """Three attributes and a method of `baggie.cameras.camera.Camera`, and `close`."""
 
     def __init__(self, camera: ImaginaryCamera) -> None:
         self.name = "imaginary camera"  # calibrations say by it which camera they are of

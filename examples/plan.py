@@ -18,9 +18,9 @@ import tyro
 
 from baggie import Policy, open_dataset
 from baggie.errors import BaggieError
+from baggie.pictures import read_picture, write_picture
 from baggie.types import Goal, Image, Observation, Plan
 from baggie.vision.draw import paint_goal
-from baggie.vision.picture_files import read_picture, write_picture
 
 DEMO = Path("demo")
 COLORS = {"pick": (255, 64, 160), "place": (0, 220, 255)}

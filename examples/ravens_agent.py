@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.progress import track
 
 from baggie import Policy
-from baggie.data.ravens_agent import RavensAgent
 from baggie.errors import BaggieError
+from baggie.ravens.agent import RavensAgent
 
 
 @dataclass(frozen=True)

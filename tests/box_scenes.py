@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.learning.demonstrations import Demonstrations
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 

@@ -7,8 +7,8 @@ import math
 from hypothesis import strategies as st
 
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.robot.primitives import least_turn, rehearse
 from baggie.types import PickPlace
-from baggie.workcell.primitives import least_turn, rehearse
 from baggie.workcell.workcell import Workcell
 
 SLACK_RAD = math.pi / 2 + 0.01

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, wrap_angle
+from baggie.robot.arm import ArmInfo
 from baggie.types import Intrinsics, Observation
-from baggie.workcell.arm import ArmInfo
 from fake_workcell import PARKED, draw_polygon, tilted_camera
 
 SIDE_M = 0.065

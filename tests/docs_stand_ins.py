@@ -76,7 +76,7 @@ STAND_INS = (
     # A recorded picture is half as large as one that is just being taken.
     StandIn(
         r"^corners = \[\[.*",
-        "from baggie.data.annotation import goal_of; "
+        "from baggie.data.summary import goal_of; "
         "corners = 2 * goal_of(baggie.open_dataset('recordings/bags')[0]).corners",
         "README",
     ),
@@ -104,7 +104,7 @@ ANSWERS: Mapping[str, tuple[str, ...]] = {
 }
 """What somebody types at the prompts of a command; Enter alone is empty."""
 
-_RECORDED = "import baggie; from baggie.data.annotation import goal_of; "
+_RECORDED = "import baggie; from baggie.data.summary import goal_of; "
 _RECORDED += "recorded = baggie.open_dataset('recordings/bags')[0]; "
 GIVEN: Mapping[str, str] = {
     "picture": _RECORDED + "picture = recorded.before.color",

@@ -15,11 +15,9 @@ import numpy as np
 from baggie import seeds
 from baggie.errors import ArmError, LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose
+from baggie.robot.arm import ArmInfo
 from baggie.types import Image, Intrinsics, Observation, Outcome, PickPlace
-from baggie.workcell.arm import ArmInfo
-from baggie.workcell.calibrations import Calibrations
-from baggie.workcell.watch import Watch
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
 
 SIZE = (640, 360)
 PARKED = ToolPose(0.2, -0.5, 0.4)

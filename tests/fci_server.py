@@ -17,7 +17,7 @@ from franky_sim import simulation_server
 from franky_sim.mujoco_simulator import MUJOCO_DEFAULT_KP, MujocoSimulator
 
 from baggie.lab.fci import FciServer
-from baggie.sim.touch import upward_touch
+from baggie.sim.arm_world import upward_touch
 
 BOX = "0.49 0.0 0.05"
 BOX_HALF = "0.04 0.04 0.05"

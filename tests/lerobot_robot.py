@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from baggie.geometry import FloatArray
-from baggie.sim.arm_model import load_arm_model
-from baggie.sim.kinematics import Kinematics
-from baggie.sim.scene import HOME, TOOL_OFFSET_M
-from baggie.workcell.lerobot_settings import LeRobotSettings
+from baggie.robot.franka.models import HOME, TOOL_OFFSET_M
+from baggie.robot.kinematics import Kinematics, load_arm_model
+from baggie.robot.lerobot.link import LeRobotSettings
 
 FR3 = Path(str(files("franky_sim"))) / "assets" / "fr3.xml"
 JOINTS = [f"fr3_joint{number}" for number in range(1, 8)]

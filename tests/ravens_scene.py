@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from baggie.data.ravens import (
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.ravens.format import (
     RAVENS_CAMERAS,
     RavensAction,
     RavensEpisode,
@@ -15,7 +16,6 @@ from baggie.data.ravens import (
     RavensPose,
     planar_to_pose,
 )
-from baggie.geometry import FloatArray, PlanarPose
 from baggie.types import Image, Observation
 from ray_caster import Box, look
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from baggie.geometry import ToolPose
-from baggie.workcell.arm import ArmInfo
+from baggie.robot.arm import ArmInfo
 from baggie.workcell.workcell import Workcell
 
 

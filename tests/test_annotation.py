@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baggie.data.annotation import goal_of, is_demonstration
+from baggie.data.summary import goal_of, is_demonstration
 from baggie.errors import DataError
 from baggie.vision.draw import paint_goal
 from synthetic import make_attempt

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baggie.data.appearance import object_mask, random_look, without_object
+from baggie.learning.augmentation import object_mask, random_look, without_object
 from synthetic import make_attempt
 
 ATTEMPT = make_attempt(3, np.random.default_rng(3), (320, 180), depth=False)

@@ -1,57 +1,141 @@
-"""The arrows between rooms run one way, as docs/architecture.md draws them."""
+"""The arrows between rooms and files run one way, as docs/architecture.md draws them."""
 
 import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import pytest
 
 import baggie
 
 ROOT = Path(baggie.__file__).parent
-FLOORS = [
-    {
-        "errors",
-        "extras",
-        "files",
-        "geometry",
-        "grid",
-        "import_errors",
-        "pictures",
-        "processes",
-        "progress",
-        "ranges",
-        "seeds",
+ROOMS = [
+    *(
+        "moved",
         "system_libraries",
-        "terminal",
-        "text_files",
+        "errors",
+        "gl",
+        "files",
+        "entries",
+        "geometry",
+        "pictures",
         "types",
-    },
-    {"vision", "calibration", "sim"},
-    {"policies", "data", "workcell"},
-    {"collect", "commissioning", "lab", "learning", "evaluation"},
-    {"cli", "cli_calibrate", "cli_output", "cli_workcell", "envs", "__main__", "__init__"},
+        "metrics",
+    ),
+    *("results", "processes", "progress", "ranges", "seeds"),
+    *(
+        "vision",
+        "calibration",
+        "cameras",
+        "robot",
+        "sim",
+        "tasks",
+        "data",
+        "policies",
+        "workcell",
+        "ravens",
+        "lab",
+    ),
+    *("commissioning", "collect", "learning", "evaluation", "report", "envs", "cli", "__main__"),
 ]
-FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+"""From the ground up: a room knows those before it."""
 
 
-def room_of(path: Path) -> str:
-    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+def modules() -> dict[str, Path]:
+    """Every module's file, by its name."""
+    files = sorted(ROOT.rglob("*.py"))
+    return {
+        ".".join(("baggie", *f.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): f
+        for f in files
+    }
 
 
-def imported_rooms(path: Path) -> set[str]:
-    names = [
-        node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
-    ]
-    return {name.split(".")[1] for name in names if name and name.startswith("baggie.")}
+def imports_of(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    """All that a module imports, at its top or later, but for what only a type checker sees."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        elif not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)):
+            yield from imports_of(node)
 
 
-def test_every_room_has_a_floor() -> None:
-    assert {room_of(path) for path in ROOT.rglob("*.py")} == set(FLOOR_OF)
+def imported(source: str, known: set[str]) -> set[str]:
+    """Which of the known modules a source imports, however it is written."""
+    found = set()
+    for node in imports_of(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        else:
+            assert not node.level, "imports are absolute here"
+            inside = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= inside & known
+            if inside - known:  # names of the module itself
+                found.add(node.module or "")
+    return found & known
 
 
-def test_no_file_imports_from_a_floor_above() -> None:
+def arrows() -> dict[str, set[str]]:
+    """What each module imports."""
+    known = set(modules())
+    return {name: imported(path.read_text(), known) - {name} for name, path in modules().items()}
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else "baggie"
+
+
+def test_every_room_is_in_its_place() -> None:
+    assert {room_of(module) for module in modules()} - {"baggie"} == set(ROOMS)
+
+
+def test_a_room_knows_only_those_below_it() -> None:
+    height = {room: number for number, room in enumerate(ROOMS)}
     upward = [
-        f"{path.relative_to(ROOT)} imports {room}"
-        for path in ROOT.rglob("*.py")
-        for room in imported_rooms(path)
-        if FLOOR_OF[room] > FLOOR_OF[room_of(path)]
+        f"{module} imports {other}"
+        for module, others in arrows().items()
+        for other in others
+        if module != "baggie" and (other == "baggie" or height[room_of(other)] > height[room_of(module)])
     ]
     assert not upward
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    try:
+        TopologicalSorter(arrows()).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("import baggie.b", {"baggie.b"}),
+        ("from baggie import b", {"baggie.b"}),
+        ("from baggie.b import name", {"baggie.b"}),
+        ("from baggie import b, name", {"baggie", "baggie.b"}),
+        ("def f():\n    from baggie.b import name", {"baggie.b"}),
+        ("if TYPE_CHECKING:\n    import baggie.b", set()),
+    ],
+)
+def test_no_import_goes_unseen(source: str, expected: set[str]) -> None:
+    assert imported(source, {"baggie", "baggie.b"}) == expected
+
+
+def test_files_and_folders_are_of_a_size_to_be_read() -> None:
+    files = list(modules().values())
+    assert len(files) <= 222
+    assert not [path for path in files if len(path.read_text().splitlines()) > 400]
+    folders = {path.parent for path in files}
+    assert not [folder for folder in folders if len(list(folder.glob("*.py"))) > 20]
+
+
+def test_mujoco_is_told_how_to_render_before_it_is_imported() -> None:
+    """Python runs a package's own file before any module in it."""
+    untold = [
+        module
+        for module, path in modules().items()
+        if any(line.startswith(("import mujoco", "import mink")) for line in path.read_text().splitlines())
+        and "choose_backend()" not in (ROOT / room_of(module) / "__init__.py").read_text()
+    ]
+    assert not untold

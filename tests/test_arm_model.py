@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose, hand_matrix
-from baggie.sim.arm_model import load_arm_model
-from baggie.sim.kinematics import Kinematics
+from baggie.robot.kinematics import Kinematics, load_arm_model
 
 JOINTS = ["pan", "lift", "elbow", "wrist"]
 HOME = np.deg2rad([0.0, -10.0, 100.0, 90.0])  # bent, the tool pointing down; no joint turns it about itself

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.data.augmentation import WarpRange, random_light, random_warp
 from baggie.geometry import apply_homography
+from baggie.learning.augmentation import WarpRange, random_light, random_warp
 
 SIZE = (160, 96)
 POINTS = np.array([[40.0, 30.0], [120.0, 70.0]])

@@ -7,13 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose, transform_points
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
-from baggie.sim.tasks import TASKS, Slot, Stage, Task, find_task
-from baggie.sim.tasks.layout import REACH
-from baggie.sim.tasks.oracle import carry, next_action
-from baggie.sim.tasks.scoring import RavensScore, all_filled, filled
+from baggie.tasks import TASKS, Slot, Stage, Task, find_task
+from baggie.tasks.demonstrator import carry, next_action
+from baggie.tasks.layout import REACH
+from baggie.tasks.scoring import RavensScore, all_filled, filled
 from baggie.types import PickPlace
 from ideal_arm import carried, poses_of
 

@@ -9,23 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
+from baggie.cameras.camera import Camera, HeightMapCamera, check_camera
 from baggie.errors import BaggieError, CameraError
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
 from baggie.seeds import COLLECTION, EVALUATION, STYLE, generator
 from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
-from baggie.sim.depth_cameras import DepthRenderer
-from baggie.sim.tasks import TASKS
-from baggie.sim.tasks.layout import REACH
+from baggie.sim.renderer import DepthRenderer
+from baggie.tasks import TASKS
+from baggie.tasks.layout import REACH
 from baggie.types import Observation, PickPlace
-from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
-from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
-from baggie.workcell.camera import Camera
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.height_map_camera import HeightMapCamera
-from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
+from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
+from baggie.workcell.block_workcell import BlockWorkcell, SimulatedDepthCamera, open_block_workcell
 from carries import carries_in, check_reached
 
 GRID = Grid()

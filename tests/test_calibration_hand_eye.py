@@ -19,11 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye import refine as hand_eye_refine
-from baggie.calibration.hand_eye import reproject as hand_eye_reproject
-from baggie.calibration.hand_eye.closed_forms import CLOSED_FORMS, closed_form
-from baggie.calibration.hand_eye.lens import lens_share
-from baggie.calibration.hand_eye.picture import draw_views
-from baggie.calibration.hand_eye.result import HandEye
+from baggie.calibration.hand_eye import refine as hand_eye_reproject
+from baggie.calibration.hand_eye.agree import lens_share
+from baggie.calibration.hand_eye.refine import CLOSED_FORMS, closed_form
+from baggie.calibration.hand_eye.result import HandEye, draw_views
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, Mount, read_views
 from baggie.errors import CalibrationError, DataError

@@ -11,17 +11,15 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot.comparison import lattice
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
-from baggie.calibration.image_to_robot.picture import draw_comparison, draw_residuals
+from baggie.calibration.image_to_robot.residuals import draw_comparison, draw_residuals, lattice
 from baggie.collect.calibrate import calibrate
-from baggie.commissioning.points import grid
+from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import Rectangle, apply_homography, wrap_angle
-from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.keypoint_net import KeypointNet
-from baggie.policies.learned_map import as_calibration
-from baggie.policies.view import View
+from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.plan import View
+from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
 from baggie.vision.color_mask import find_bag

@@ -13,23 +13,26 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, import_intrinsics
+from baggie.calibration.intrinsics.camera_calibration import (
+    CameraCalibration,
+    draw_coverage,
+    import_intrinsics,
+)
 from baggie.calibration.intrinsics.fit import (
+    CANDIDATES,
     BoardView,
     calibrate_intrinsics_from,
     find_views,
     fit_intrinsics,
+    held_out_error,
     is_new,
     next_view,
 )
-from baggie.calibration.intrinsics.lens_bundle import fit_lens
-from baggie.calibration.intrinsics.lens_terms import CANDIDATES, held_out_error
-from baggie.calibration.intrinsics.opencv_lens import DISTORTION, guessed_lens
-from baggie.calibration.intrinsics.picture import draw_coverage
+from baggie.calibration.intrinsics.lens import DISTORTION, fit_lens, guessed_lens
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import rigid, transform_points
+from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
-from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import Seen, parse_target
 from board_pictures import lens_error_px, random_pose, render_board
 

@@ -16,21 +16,24 @@ from scipy.stats import chi2
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, read_views
-from baggie.calibration.intrinsics import lens_bundle
+from baggie.calibration.intrinsics import lens as lens_bundle
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.intrinsics.corner_noise import corner_noise_px
 from baggie.calibration.intrinsics.fit import BoardView, fit_intrinsics
-from baggie.calibration.intrinsics.lens_bundle import USUAL_SAG, LensGuess, fit_lens, settle_lens
-from baggie.calibration.intrinsics.opencv_lens import DISTORTION
+from baggie.calibration.intrinsics.lens import DISTORTION, USUAL_SAG, LensGuess, fit_lens, settle_lens
+from baggie.calibration.intrinsics.views import corner_noise_px
 from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
-from baggie.commissioning.camera_to_world import CameraToWorldOptions, calibrate_camera_to_world
 from baggie.commissioning.intrinsics import IntrinsicsOptions, calibrate_intrinsics
-from baggie.commissioning.robot_to_world import RobotToWorldOptions, calibrate_robot_to_world_live
-from baggie.commissioning.world import points_to_touch
+from baggie.commissioning.printed import points_to_touch
+from baggie.commissioning.robot_to_world import (
+    CameraToWorldOptions,
+    RobotToWorldOptions,
+    calibrate_camera_to_world,
+    calibrate_robot_to_world_live,
+)
 from baggie.errors import DataError
 from baggie.geometry import difference, from_vector, invert_transform, rigid, transform_points
 from baggie.types import Intrinsics
-from baggie.vision.sag import FLAT, Sag
+from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import Seen, parse_target, with_sag
 from board_pictures import lens_error_px, random_pose, render_board
 

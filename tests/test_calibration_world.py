@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.pose import UncertainTransform
 from baggie.calibration.world.camera_to_robot import CameraToRobot, compare, compose
 from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.calibration.world.robot_to_world import RobotToWorld, fit_from_axes, fit_from_points

@@ -15,10 +15,9 @@ pyk4a = pytest.importorskip(
     exc_type=ImportError,
 )
 
+from baggie.cameras.camera import CameraSettings, check_camera  # noqa: E402
+from baggie.cameras.opening import OpenCamera, open_camera  # noqa: E402
 from baggie.errors import CameraError  # noqa: E402 -- what comes next needs the package
-from baggie.workcell.camera_contract import check_camera  # noqa: E402
-from baggie.workcell.cameras.opening import OpenCamera, open_camera  # noqa: E402
-from baggie.workcell.cameras.settings import CameraSettings  # noqa: E402
 
 SETTINGS = CameraSettings(kind="k4a", timeout_s=4.0)
 RNG = np.random.default_rng(0)

@@ -12,10 +12,10 @@ ob = pytest.importorskip(
     "pyorbbecsdk", reason='needs pyorbbecsdk: pip install ".[orbbec]"', exc_type=ImportError
 )
 
+from baggie.cameras.camera import CameraSettings  # noqa: E402
+from baggie.cameras.opening import open_camera  # noqa: E402
+from baggie.cameras.orbbec import lock, to_intrinsics, to_observation  # noqa: E402
 from baggie.errors import CalibrationError, CameraError  # noqa: E402 -- what comes next needs the package
-from baggie.workcell.cameras.opening import open_camera  # noqa: E402
-from baggie.workcell.cameras.orbbec import lock, to_intrinsics, to_observation  # noqa: E402
-from baggie.workcell.cameras.settings import CameraSettings  # noqa: E402
 
 SETTINGS = CameraSettings(kind="orbbec")
 PROPERTY = ob.OBPropertyID

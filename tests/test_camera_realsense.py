@@ -10,11 +10,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from baggie.cameras.camera import CameraSettings, check_camera
+from baggie.cameras.opening import OpenCamera, open_camera
 from baggie.errors import CameraError
 from baggie.types import Intrinsics
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.cameras.opening import OpenCamera, open_camera
-from baggie.workcell.cameras.settings import CameraSettings
 from realsense_recording import BASELINE_M, DISTORTION, FOCAL_PX, SERIAL, SIZE, WALL_M, lens, record, rs
 
 
@@ -65,7 +64,7 @@ def test_a_recording_that_is_over_begins_again(camera: OpenCamera) -> None:
     "model", [rs.distortion.inverse_brown_conrady, rs.distortion.modified_brown_conrady], ids=str
 )
 def test_a_lens_model_that_opencv_has_not_sees_the_same_rays(model: Any) -> None:
-    from baggie.workcell.cameras.realsense import to_intrinsics
+    from baggie.cameras.realsense import to_intrinsics
 
     theirs = lens((-0.055, 0.065, 0.0004, -0.0006, -0.02), model)
     ours = to_intrinsics(theirs)
@@ -87,7 +86,7 @@ def sensor_with(*options: tuple[Any, float, float, float]) -> Any:
 
 
 def test_exposure_and_white_balance_are_locked() -> None:
-    from baggie.workcell.cameras.realsense import lock
+    from baggie.cameras.realsense import lock
 
     sensor = sensor_with(
         (rs.option.enable_auto_exposure, 0, 1, 1),

@@ -17,21 +17,20 @@ from baggie.calibration.files import MAP_FILE, REFERENCE_FILE
 from baggie.collect.collect import collect
 from baggie.collect.options import CollectOptions
 from baggie.data import DatasetWriter, inspect_dataset, open_dataset
-from baggie.data.annotation import goal_of
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER
+from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, UsageError
 from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.validate import ValidateOptions, validate
 from baggie.lab.options import LabOptions
 from baggie.learning import TrainOptions, train
-from baggie.pictures import LONGEST_RECORDED, recorded_size, same_shape
+from baggie.pictures import LONGEST_RECORDED, recorded_size, same_shape, write_picture
 from baggie.policies import checkpoint, load_policy
 from baggie.policies.export import ExportOptions, export
+from baggie.report.report import ReportOptions, report
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.types import Goal
-from baggie.vision.picture_files import write_picture
 from baggie.workcell.config import open_workcell
 from baggie.workcell.workcell_file import read_workcell_file
 from fake_workcell import FakeCell
@@ -49,7 +48,7 @@ sizes = st.tuples(st.integers(120, 4096), st.integers(120, 4096))
 def _hardly_taught(monkeypatch):
     """Two steps teach no network to be sure of what it sees; where a picture leads is told by any."""
     torch.set_num_threads(1)
-    monkeypatch.setattr("baggie.policies.keypoint_plan._IN_SIGHT", 0.0)
+    monkeypatch.setattr("baggie.policies.keypoint.plan._IN_SIGHT", 0.0)
 
 
 def open_shape(_number, size):
@@ -280,7 +279,7 @@ def test_a_simulated_camera_has_bounds(size):
 
 @pytest.mark.parametrize(("known", "camera"), [([2048, 1536], (2048, 1536)), ([640, 360], PICTURE_SIZE)])
 def test_a_policy_is_evaluated_with_its_own_camera(known, camera, tmp_path):
-    from baggie.evaluation.simulated_bench import camera_size
+    from baggie.evaluation.opening import camera_size
 
     config = {"policy": "keypoint", "cell": 0, "picture_size": [640, 360], "camera_size": known}
     (tmp_path / checkpoint.CONFIG).write_text(yaml.safe_dump(config))

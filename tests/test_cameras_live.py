@@ -9,11 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from baggie.cameras.camera import CameraSettings, check_camera
+from baggie.cameras.live import LiveCamera
 from baggie.errors import CameraError
 from baggie.types import Intrinsics, Observation
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.cameras.live import LiveCamera
-from baggie.workcell.cameras.settings import CameraSettings
 
 PERIOD_S = 0.05
 

@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.cli import main
+from baggie.cameras.camera import CameraSettings, check_camera
+from baggie.cameras.opening import OpenCamera, open_camera
+from baggie.cli.main import main
 from baggie.errors import CameraError
+from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
-from baggie.vision.picture_files import read_pictures
 from baggie.vision.targets import parse_target
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.cameras.opening import OpenCamera, open_camera
-from baggie.workcell.cameras.settings import CameraSettings
 from board_pictures import random_pose, render_board
 from mjpeg_server import SIZE, MjpegServer, number_in
 

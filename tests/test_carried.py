@@ -13,16 +13,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieWarning
-from baggie.geometry import PlanarPose, rotation
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose, rotation
 from baggie.learning.demonstrations import Demonstrations, carried_in
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.symmetry import check_symmetries, found_symmetries
-from baggie.learning.things import Things, place_belongs_to
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.types import Observation, PickPlace
-from baggie.vision.carried import Carried, middle_of, place_of, with_turn
+from baggie.vision.carried import Carried, Things, middle_of, place_belongs_to, place_of, with_turn
 from box_scenes import box_attempts
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)

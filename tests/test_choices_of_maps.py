@@ -14,23 +14,28 @@ from hypothesis import strategies as st
 
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.evaluation import validate as module
-from baggie.evaluation.carried_steps import CarriedStep, with_what_was_carried
-from baggie.evaluation.choices_of_maps import MapChoices, choices_of_episode, choices_of_maps, stages_of
 from baggie.evaluation.choices_of_scene import Done, replayed
-from baggie.evaluation.metrics import action_errors, success_rate
 from baggie.evaluation.predictions import Prediction
+from baggie.evaluation.scored_plans import (
+    CarriedStep,
+    MapChoices,
+    choices_of_episode,
+    choices_of_maps,
+    stages_of,
+    with_what_was_carried,
+    would_count,
+)
 from baggie.evaluation.validate import ValidateOptions, validate
-from baggie.evaluation.would_count import would_count
-from baggie.geometry import PlanarPose, planar_pose, wrap_angle
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose, planar_pose, wrap_angle
 from baggie.learning.demonstrations import carried_in
-from baggie.learning.episodes import with_after
 from baggie.learning.measure import measure
+from baggie.learning.split import with_after
 from baggie.learning.symmetry import turn_onto
+from baggie.metrics import action_errors, success_rate
 from baggie.seeds import STYLE, generator
-from baggie.sim.tasks import TASKS
-from baggie.sim.tasks.scoring import RavensScore
-from baggie.sim.tasks.varied import varied_action
+from baggie.tasks import TASKS
+from baggie.tasks.demonstrator import varied_action
+from baggie.tasks.scoring import RavensScore
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from ideal_arm import away, carried, poses_of
 
@@ -305,7 +310,7 @@ def test_two_things_are_compared_once_however_many_steps_are_left(monkeypatch):
         compared.append((mask.tobytes(), other.tobytes()))
         return turn_onto(mask, other, symmetry)
 
-    monkeypatch.setattr("baggie.evaluation.choices_of_maps.turn_onto", counted)
+    monkeypatch.setattr("baggie.evaluation.scored_plans.turn_onto", counted)
     poses = [PlanarPose(0.3 + 0.1 * (n // 4), -0.2 + 0.1 * (n % 4), 0.3 * n) for n in range(5)]
     moves = [Move(n, PlanarPose(0.6 + 0.07 * (n // 4), -0.2 + 0.1 * (n % 4), 0.1)) for n in range(5)]
     choices = choices_of_episode(steps_of([SQUARE] * 5, poses, moves)).values()

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from baggie.cli import VERBS, main
-from baggie.cli_output import show
+from baggie.cli.main import VERBS, main
+from baggie.cli.output import show
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -58,7 +58,7 @@ def test_an_interruption_says_how_to_go_on_and_is_status_130(
     def stopped(_options: object) -> None:
         raise KeyboardInterrupt("go on with: baggie collect")
 
-    monkeypatch.setattr("baggie.cli.run_collect", stopped)
+    monkeypatch.setattr("baggie.cli.main.run_collect", stopped)
     assert main(["collect", "--out", "anywhere"]) == 130
     assert capsys.readouterr().err == "go on with: baggie collect\n"
 

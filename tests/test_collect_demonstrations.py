@@ -13,8 +13,8 @@ from baggie.collect.demonstrations import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.choices_of_scene import choices_of_scene
-from baggie.grid import Grid
-from baggie.sim.tasks import TASKS
+from baggie.geometry import Grid
+from baggie.tasks import TASKS
 from baggie.types import PickPlace
 from streaming import stream_here
 

@@ -11,19 +11,26 @@ from hypothesis import strategies as st
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect import detect, machine
-from baggie.collect.machine import MAX_LOOKS, MAX_RESCUES, MAX_TRIES, State, Stopped, Turn, run_turn
-from baggie.collect.places import (
+from baggie.collect import machine
+from baggie.collect import machine as detect
+from baggie.collect.machine import (
     MARGIN_M,
+    MAX_LOOKS,
+    MAX_RESCUES,
+    MAX_TRIES,
     MIN_DISTANCE_M,
+    State,
+    Stopped,
+    Turn,
     false_45,
     grip_yaw,
     long_place_yaw,
     nearest_grip,
     random_place,
+    run_turn,
 )
 from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
-from baggie.commissioning.points import grid
+from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.processes import nobody

@@ -18,15 +18,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import baggie.collect.help as help_module
+import baggie.collect.sitting as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
+from baggie.collect.cell import what_opens
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
-from baggie.collect.help import Help
-from baggie.collect.opening import what_opens
 from baggie.collect.options import CollectOptions
-from baggie.collect.sitting import Recording
+from baggie.collect.sitting import Help, Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
@@ -204,7 +203,7 @@ def test_without_a_reference_nothing_is_watched(reference):
 CHILD = """
 import sys
 from pathlib import Path
-from baggie.collect.opening import what_opens
+from baggie.collect.cell import what_opens
 from baggie.collect import CollectOptions, collect
 from fake_workcell import open_slowly
 if __name__ == "__main__":
@@ -286,7 +285,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
 
     def full(files, partial):
         calls.append(files)
-        if len(calls) == 5:  # the settings, then attempts
+        if len(calls) == 6:  # what is repaired, the settings, then attempts
             raise OSError(errno.ENOSPC, "No space left on device")
         write_all(files, partial)
 

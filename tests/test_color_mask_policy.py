@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.commissioning.points import grid
+from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy

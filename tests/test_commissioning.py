@@ -15,27 +15,28 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.calibration.world.camera_to_world import CameraToWorld
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.bench import open_bench
 from baggie.commissioning.check import CheckOptions, check_live
 from baggie.commissioning.image_to_robot import (
     ImageToRobotOptions,
     calibrate_image_to_robot_live,
     check_command,
+    grid,
+    marker_finder,
+    parse_marker,
+    visit,
 )
-from baggie.commissioning.points import grid, marker_finder, parse_marker, visit
-from baggie.commissioning.printed import BOARD, HAND_MARKER, NAMED
-from baggie.commissioning.view_folder import ViewFolder
-from baggie.commissioning.world import T_world_target, points_to_touch
+from baggie.commissioning.printed import BOARD, HAND_MARKER, NAMED, T_world_target, points_to_touch
+from baggie.commissioning.session import ViewFolder, open_bench
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import difference, invert_transform, transform_points
+from baggie.pictures import read_picture, write_picture
+from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
-from baggie.vision.picture_files import read_picture, write_picture
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.config import open_workcell
-from baggie.workcell.limits import GuardedArm
 from board_pictures import random_pose, render_board
 from fake_workcell import FakeArm, FakeCell
 from recording_arm import RecordingArm

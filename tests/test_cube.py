@@ -14,8 +14,8 @@ import cube_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import CollectOptions, collect
-from baggie.collect.detect import at_outline, detect
-from baggie.commissioning.points import grid
+from baggie.collect.machine import at_outline, detect
+from baggie.commissioning.image_to_robot import grid
 from baggie.data import open_dataset
 from baggie.evaluation import closed_loop
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate

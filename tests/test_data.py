@@ -20,8 +20,7 @@ from hypothesis.extra import numpy as hnp
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.lerobot import DTYPES, IMAGE, NUMERIC_FEATURES
 from baggie.errors import DataError
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
 from synthetic import TASK, make_attempt
 

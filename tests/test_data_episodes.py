@@ -17,9 +17,9 @@ from hypothesis.extra import numpy as hnp
 
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.lerobot import DTYPES, IMAGE
-from baggie.data.png import MAX_HEIGHT_M, decode_height, encode_height
+from baggie.data.record import MAX_HEIGHT_M, decode_height, encode_height
 from baggie.errors import BaggieError, DataError
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.types import Attempt, Observation
 from synthetic import TASK, make_attempt
 from test_data import expect_same

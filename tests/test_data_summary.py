@@ -14,7 +14,7 @@ import pytest
 
 from baggie.data import DatasetWriter, contact_sheet, inspect_dataset, open_dataset
 from baggie.errors import DataError
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.types import Image, Observation
 from synthetic import TASK, WORKSPACE, make_attempt
 

@@ -18,9 +18,10 @@ from unittest.mock import MagicMock
 import pytest
 import yaml
 
-from baggie import cli, cli_calibrate, cli_workcell
-from baggie.workcell.bag_entry import Bag, HandlingEntry
-from baggie.workcell.workcell_file import read_workcell_file
+from baggie.cli import calibrate as cli_calibrate
+from baggie.cli import calibrate as cli_workcell
+from baggie.cli import main as cli
+from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
 from docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
 from docs_stand_ins import GIVEN, taken_for_granted
 
@@ -53,7 +54,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (cli, cli_calibrate, cli_workcell):
         monkeypatch.setattr(module, "show", MagicMock())
         for name, value in vars(module).items():
-            if inspect.isfunction(value) and not value.__module__.startswith("baggie.cli"):
+            if inspect.isfunction(value) and not value.__module__.startswith("baggie.cli.main"):
                 monkeypatch.setattr(module, name, MagicMock())
     monkeypatch.setattr("baggie.lab.serve.serve_lab", MagicMock())
 

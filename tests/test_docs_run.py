@@ -94,7 +94,7 @@ _RAVENS = """\
 import sys
 from pathlib import Path
 
-from baggie.data.ravens import write_episode
+from baggie.ravens.format import write_episode
 
 sys.path.append("tests")
 import ravens_scene

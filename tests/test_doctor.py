@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.commissioning import health
 from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.doctor import DoctorOptions, Finding, examine, require_healthy
-from baggie.commissioning.health_with_help import HELPED
+from baggie.commissioning.health import HELPED
 from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.geometry import ToolPose
+from baggie.sim.arm import SimulatedArm
 from baggie.sim.arm_world import ArmWorld
 from baggie.types import Observation
-from baggie.workcell.simulated_arm import SimulatedArm
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from recording_arm import RecordingArm, TimelessCell
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.data.augmentation import random_warp
 from baggie.errors import BaggieError
 from baggie.geometry import apply_homography
+from baggie.learning.augmentation import random_warp
 from baggie.types import Goal
 from baggie.vision.draw import check_goal, paint_goal, region_mask, without_card
 

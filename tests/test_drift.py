@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
-from baggie.vision.align import Template, relief
-from baggie.vision.drift import Landmarks, Shift
+from baggie.vision.drift import Landmarks, Shift, Template, relief
 from baggie.workcell.simulated import SimulatedWorkcell
 
 SIZE = (1280, 720)

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.policies.edge_phases import AROUND, CHANNELS, STRIDE, edge_phases
+from baggie.policies.keypoint.heads import AROUND, CHANNELS, STRIDE, edge_phases
 
 SIZE = 96
 MIDDLE = SIZE // 2

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.data import DatasetWriter
 from synthetic import make_attempt
 

@@ -16,21 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie import seeds
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.collect.options import INSTRUCTIONS
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
-from baggie.evaluation.block_bench import BlockBench
-from baggie.evaluation.block_episode import BlockEpisode
+from baggie.evaluation.block_episode import BlockBench, BlockEpisode
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import read_log
-from baggie.evaluation.metrics import success_rate
-from baggie.evaluation.report import ReportOptions, report
 from baggie.evaluation.subjects import check_taught
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
+from baggie.metrics import success_rate
 from baggie.policies import DemonstratorPolicy
-from baggie.sim.tasks import TASKS, find_task
+from baggie.report.report import ReportOptions, report
+from baggie.tasks import TASKS, find_task
 from baggie.types import Observation, Outcome, PickPlace, Plan
 from streaming import stream_here
 from test_report import Page

@@ -15,12 +15,12 @@ import pytest
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
-from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import append_line, read_lines
+from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
 from baggie.policies.oracle import OraclePolicy

@@ -14,15 +14,14 @@ from hypothesis import strategies as st
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.places import MIN_DISTANCE_M
+from baggie.collect.machine import MIN_DISTANCE_M
 from baggie.errors import BaggieError, DataError, UnsureError
-from baggie.evaluation.bench import Bench
-from baggie.evaluation.card_map import card_map
 from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_log
 from baggie.evaluation.options import EvaluateOptions
+from baggie.evaluation.setup import Bench, card_map
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Goal, Observation

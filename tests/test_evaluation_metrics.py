@@ -7,15 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.evaluation.metrics import (
-    Z_95,
-    position_error_cm,
-    success_rate,
-    summary,
-    within_stated,
-    yaw_error_deg,
-)
 from baggie.geometry import PlanarPose
+from baggie.metrics import Z_95, position_error_cm, success_rate, summary, within_stated, yaw_error_deg
 
 counts = st.integers(1, 5000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
 numbers = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50)

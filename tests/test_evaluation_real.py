@@ -12,23 +12,21 @@ import pytest
 
 import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
-from baggie.collect.detect import at_outline, detect
+from baggie.collect.machine import at_outline, detect
 from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import bag_place as closed_loop_of_bags
-from baggie.evaluation.bench import Bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
-from baggie.evaluation.report import ReportOptions, report
-from baggie.evaluation.seen_bench import open_bench
-from baggie.evaluation.seen_cell import SeenCell
+from baggie.evaluation.opening import SeenCell, open_real_bench
+from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy, KeypointPolicy
-from baggie.policies.keypoint_net import KeypointNet
-from baggie.policies.view import View
+from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.plan import View
+from baggie.report.report import ReportOptions, report
 from baggie.types import Outcome
-from baggie.workcell.calibrations import Calibrations
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Calibrations, WorkcellSettings
 from fake_workcell import FakeCell
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
 
@@ -270,17 +268,17 @@ def test_a_policy_of_another_camera_is_refused_before_the_first_episode(tmp_path
     view = View((640, 360), 0, 0, 640, 360, (160, 88))
     KeypointPolicy(network, view, 0).save_pretrained(tmp_path / "run")
     opened = calibrated(RealFake(size=(640, 480)))
-    monkeypatch.setattr("baggie.evaluation.seen_bench.open_workcell", lambda _: opened)
-    monkeypatch.setattr("baggie.evaluation.seen_bench.RealWorkcell", RealFake)
+    monkeypatch.setattr("baggie.evaluation.opening.open_workcell", lambda _: opened)
+    monkeypatch.setattr("baggie.evaluation.opening.RealWorkcell", RealFake)
     asked = replace(options(tmp_path / "out"), policy=str(tmp_path / "run"))
     with pytest.raises(
         BaggieError, match="trained on pictures of 640 x 360 pixels, but got one of 640 x 480"
     ):
-        open_bench(asked)
+        open_real_bench(asked)
 
 
 def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: sim\n")
     with pytest.raises(BaggieError, match="--cell N"):
-        open_bench(replace(options(tmp_path / "out"), workcell=file))
+        open_real_bench(replace(options(tmp_path / "out"), workcell=file))

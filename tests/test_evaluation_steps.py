@@ -14,17 +14,15 @@ from hypothesis import strategies as st
 from baggie.data import DatasetWriter, open_dataset
 from baggie.evaluation import validate as module
 from baggie.evaluation.choices_of_scene import Done, SceneChoices, replayed
-from baggie.evaluation.heldout import demonstrations
-from baggie.evaluation.metrics import success_rate, turn_error_deg
-from baggie.evaluation.validate import ValidateOptions, validate
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.evaluation.validate import ValidateOptions, demonstrations, validate
+from baggie.geometry import Grid, PlanarPose
+from baggie.metrics import success_rate, turn_error_deg
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.blocks import Block
-from baggie.sim.tasks import TASKS, varied
-from baggie.sim.tasks.oracle import next_action
-from baggie.sim.tasks.scoring import RavensScore
-from baggie.sim.tasks.varied import varied_action
+from baggie.tasks import TASKS
+from baggie.tasks import demonstrator as varied
+from baggie.tasks.demonstrator import next_action, varied_action
+from baggie.tasks.scoring import RavensScore
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from ideal_arm import carried, poses_of
 

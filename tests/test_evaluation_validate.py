@@ -12,11 +12,10 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as module
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
-from baggie.evaluation.heldout import demonstrations, held_out
-from baggie.evaluation.metrics import success_rate
-from baggie.evaluation.validate import ValidateOptions, validate
+from baggie.evaluation.validate import ValidateOptions, demonstrations, held_out, validate
 from baggie.geometry import PlanarPose
 from baggie.learning import TrainOptions, train
+from baggie.metrics import success_rate
 from baggie.types import PickPlace, Plan
 from synthetic import TASK, make_attempt
 

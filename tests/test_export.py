@@ -15,21 +15,19 @@ import torch
 from torch import nn
 
 from baggie import Policy
-from baggie.cli import main
-from baggie.data.annotation import goal_of
-from baggie.errors import BaggieError, DataError
-from baggie.extras import install_extra
-from baggie.grid import Grid
+from baggie.cli.main import main
+from baggie.data.summary import goal_of
+from baggie.errors import BaggieError, DataError, install_extra
+from baggie.geometry import Grid
+from baggie.pictures import read_picture, write_picture
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
-from baggie.policies.keypoint_net import KeypointNet
-from baggie.policies.keypoint_plan import GoalInput, Reading
-from baggie.policies.regression import RegressionNet
+from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.plan import GoalInput, Reading, View
+from baggie.policies.regression.policy import RegressionNet
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
-from baggie.policies.view import View
-from baggie.vision.picture_files import read_picture, write_picture
 from policy_contract import check_policy
 from synthetic import make_attempt
 

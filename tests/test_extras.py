@@ -10,10 +10,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from baggie.errors import CameraError
-from baggie.extras import install_extra, pip_install
-from baggie.workcell.cameras.opening import open_camera
-from baggie.workcell.cameras.settings import CameraSettings
+from baggie.cameras.camera import CameraSettings
+from baggie.cameras.opening import open_camera
+from baggie.errors import CameraError, install_extra, pip_install
 from docs_pages import PAGES, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -51,7 +50,7 @@ def test_source_that_is_not_installed_is_installed_from_where_it_lies(
     def nowhere(name: str) -> list[str]:
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr("baggie.extras.requires", nowhere)
+    monkeypatch.setattr("baggie.errors.requires", nowhere)
     assert install_extra("franka") == pip_install(f"{ROOT}[franka]")
 
 

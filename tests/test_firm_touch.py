@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.commissioning.points import color_finder
-from baggie.commissioning.tool_direction import see_tool_x
+from baggie.commissioning.health import see_tool_x
+from baggie.commissioning.image_to_robot import color_finder
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose, wrap_angle
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.firm_touch import PRESS_M, FeelingError, check_tool_x, touch_firm
-from baggie.workcell.limits import GuardedArm
+from baggie.robot.contract import PRESS_M, FeelingError, check_arm, check_tool_x, touch_firm
+from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeArm, FakeCell
 from recording_arm import RecordingArm

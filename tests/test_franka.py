@@ -17,16 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baggie.errors import ArmError, BaggieError, LimitError, ReachError
-from baggie.extras import install_extra
+from baggie.errors import ArmError, BaggieError, LimitError, ReachError, install_extra
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, hand_matrix
-from baggie.sim.scene import HOME
+from baggie.robot.arm import LedArm, hand_pose
+from baggie.robot.contract import check_arm
+from baggie.robot.franka.arm import FrankaArm
+from baggie.robot.franka.models import HOME, MODELS, ModelName
+from baggie.robot.limits import GuardedArm
 from baggie.types import PickPlace
-from baggie.workcell.arm import LedArm, hand_pose
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.franka import FrankaArm
-from baggie.workcell.franka_models import MODELS, ModelName
-from baggie.workcell.limits import GuardedArm
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from fci_server import BOX_TOP_M
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.calibration.image_to_robot.raise_card import raise_card
+from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.errors import BaggieError, CalibrationError
 from baggie.geometry import PlanarPose
 from baggie.types import Goal

@@ -18,27 +18,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie
-from baggie.cli import main
+from baggie.cameras.camera import Camera
+from baggie.cli.main import main
 from baggie.commissioning.check import CheckOptions, _object_height_m
 from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.robot.arm import ArmInfo
+from baggie.robot.handling_rules import ROOM_M, SIMULATED_HANDLING, Thing, contradiction, handled
+from baggie.robot.limits import GuardedArm
+from baggie.robot.primitives import Handling, pick, place, rehearse
 from baggie.types import PickPlace
 from baggie.workcell import config
-from baggie.workcell.arm import ArmInfo
-from baggie.workcell.bag_entry import Bag, HandlingEntry
-from baggie.workcell.camera import Camera
-from baggie.workcell.handling_rules import (
-    ROOM_M,
-    SIMULATED_HANDLING,
-    Thing,
-    contradiction,
-    handled,
-)
-from baggie.workcell.limits import GuardedArm
-from baggie.workcell.primitives import Handling, pick, place, rehearse
 from baggie.workcell.workcell import WorkcellSettings
-from baggie.workcell.workcell_file import read_workcell_file
+from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell
 
 LIMITS = WorkcellSettings().limits

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, invert_transform, rigid, transform_points
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid, invert_transform, rigid, transform_points
 from baggie.types import Observation
-from baggie.vision.height_map import HeightMap, fuse
-from baggie.vision.holes import sees_past
+from baggie.vision.height_map import HeightMap, fuse, sees_past
 from ray_caster import Box, look, overhead_pose, pinhole, ravens_poses
 
 RAVENS = Grid()

@@ -26,23 +26,21 @@ from hypothesis import strategies as st
 
 import baggie
 import baggie.lab.robot as robot_module
+from baggie.cameras.camera import Camera, check_camera
+from baggie.cameras.opening import open_camera
 from baggie.collect import CollectOptions, collect
 from baggie.commissioning.check import CheckOptions, check_calibration
 from baggie.commissioning.doctor import DoctorOptions, examine
 from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError, StuckError
 from baggie.geometry import PlanarPose, ToolPose
-from baggie.lab.control import LabControl
-from baggie.lab.robot import TICKS_PER_STEP, LabRobot
-from baggie.lab.trail import Trail, pose_difference
+from baggie.lab.robot import TICKS_PER_STEP, LabRobot, Trail, pose_difference
+from baggie.lab.web import LabControl
+from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
 from baggie.sim.world import World
 from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.camera import Camera
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.cameras.opening import open_camera
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 from carries import carries_in, check_reached

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baggie.data.annotation import goal_of
-from baggie.data.shape import as_it_is
+from baggie.data.summary import goal_of
 from baggie.geometry import PlanarPose
+from baggie.learning.augmentation import as_it_is
 from baggie.learning.labels import Labels
-from baggie.policies.planar_map import PlanarMap
-from baggie.policies.view import View
+from baggie.policies.keypoint.heads import PlanarMap
+from baggie.policies.keypoint.plan import View
 from baggie.types import PickPlace
 from synthetic import WORKSPACE, box_corners, make_attempt
 

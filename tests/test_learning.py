@@ -20,23 +20,21 @@ from accelerate import Accelerator
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from baggie.data.annotation import goal_of
+from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.metrics import yaw_error_deg
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
-from baggie.learning.background import deferred_interrupt, prefetched
-from baggie.learning.certainty import calibrate
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate
 from baggie.learning.labels import SYSTEMATIC_M, Disagreement
-from baggie.learning.loop import Training
+from baggie.learning.loop import FILE, State, Training, deferred_interrupt, prefetched
 from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
-from baggie.learning.state import FILE, State
-from baggie.policies import KeypointPolicy, load_policy, planar_map
-from baggie.policies.resnet import ResNet18
+from baggie.metrics import yaw_error_deg
+from baggie.policies import KeypointPolicy, load_policy
+from baggie.policies.keypoint import heads as planar_map
+from baggie.policies.regression.policy import ResNet18
 from baggie.types import Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
 from policy_contract import check_policy

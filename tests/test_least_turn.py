@@ -11,11 +11,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from baggie.cameras.camera import Camera
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose, nearest_angle, wrap_angle
+from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M
 from baggie.types import Outcome, PickPlace
-from baggie.workcell.camera import Camera
-from baggie.workcell.suction_arm import BLOCK_HANDLING, SEALED_WIDTH_M
 from baggie.workcell.workcell import WorkcellSettings
 from recording_arm import RecordingArm, TimelessCell
 

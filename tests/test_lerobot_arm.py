@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from baggie.errors import ArmError, BaggieError, ReachError
 from baggie.geometry import FloatArray, ToolPose, wrap_angle
-from baggie.sim.arm_model import load_arm_model
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.lerobot_arm import LeRobotArm
-from baggie.workcell.lerobot_link import open_robot
-from baggie.workcell.limits import GuardedArm
+from baggie.robot.contract import check_arm
+from baggie.robot.kinematics import load_arm_model
+from baggie.robot.lerobot.arm import LeRobotArm
+from baggie.robot.lerobot.link import open_robot
+from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
 from lerobot_robot import FR3, JOINTS, WIDEST_M, NumbersRobot, RobotsClock, settings
 

@@ -20,9 +20,10 @@ from torch.utils.tensorboard import SummaryWriter
 from baggie.data.dataset import _numeric
 from baggie.errors import DataError
 from baggie.evaluation.pictures import save_mp4
-from baggie.evaluation.report_data import _scalars
-from baggie.policies import checkpoint, weights
-from baggie.sim.touch import upward_touch
+from baggie.policies import checkpoint
+from baggie.policies import learned as weights
+from baggie.report.report import _scalars
+from baggie.sim.arm_world import upward_touch
 from baggie.types import Intrinsics
 
 SOFT = """
@@ -135,8 +136,8 @@ def test_lists_of_a_fixed_size_keep_their_place_beside_nulls_and_in_slices() -> 
 
 def test_weights_are_kept_however_they_lie_in_memory(tmp_path: Path) -> None:
     turned = torch.arange(24.0).reshape(1, 2, 3, 4).to(memory_format=torch.channels_last)
-    weights.write(tmp_path, {"policy": "p"}, {"turned": turned, "part": turned[..., 1:]})
-    read = weights.read(tmp_path, "p")
+    weights.write_tensors(tmp_path, {"policy": "p"}, {"turned": turned, "part": turned[..., 1:]})
+    read = weights.read_tensors(tmp_path, "p")
     assert torch.equal(read["turned"], turned)
     assert torch.equal(read["part"], turned[..., 1:])
 

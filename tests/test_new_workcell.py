@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import baggie
-from baggie.commissioning.new_arm import ARMS
-from baggie.commissioning.new_workcell import NewWorkcellOptions, new_workcell
+from baggie.cameras.camera import CameraSettings, Kind
+from baggie.commissioning.new_workcell import ARMS, NewWorkcellOptions, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
-from baggie.workcell.bag_entry import Bag
-from baggie.workcell.cameras.settings import CameraSettings, Kind
 from baggie.workcell.workcell_file import (
     ArmEntry,
+    Bag,
     FrankaEntry,
     LeRobotEntry,
     PythonEntry,

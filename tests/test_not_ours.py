@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.data import DatasetWriter, inspect_dataset, open_dataset
-from baggie.data.ravens import RavensFolder, write_episode
 from baggie.errors import BaggieWarning, DataError
-from baggie.evaluation.report_data import gather
-from baggie.vision.picture_files import read_pictures, write_picture
+from baggie.pictures import read_pictures, write_picture
+from baggie.ravens.format import RavensFolder, write_episode
+from baggie.report.report import gather
 from synthetic import TASK, make_attempt
 from test_ravens import FIELDS, NAME, make_episode
 

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.learning.demonstrations import Demonstrations
-from baggie.learning.moved_maps import MovedMaps, Moves
-from baggie.learning.other_views import Light, with_gaps_closed, with_shadow
+from baggie.learning.moved_maps import Light, MovedMaps, Moves, with_gaps_closed, with_shadow
 
 PIXEL_M = 0.003125
 GRAY, RED = (120, 120, 120), (200, 30, 30)

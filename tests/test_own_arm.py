@@ -17,15 +17,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie
+from baggie.cameras.camera import check_camera
 from baggie.errors import ArmError, BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.robot.contract import FORCE_N, check_arm
+from baggie.robot.lerobot.arm import LeRobotArm
+from baggie.robot.limits import GuardedArm
+from baggie.robot.primitives import Handling, least_turn, pick, place
 from baggie.types import PickPlace
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.camera_contract import check_camera
-from baggie.workcell.firm_touch import FORCE_N
-from baggie.workcell.lerobot_arm import LeRobotArm
-from baggie.workcell.limits import GuardedArm
-from baggie.workcell.primitives import Handling, least_turn, pick, place
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
 from lerobot_robot import FR3, NumbersRobot, settings
@@ -227,7 +226,7 @@ def open_eye(gain=1): ...
     [
         (
             "'wrong_cameras:Blind'",
-            r"made a Blind, which is no Camera: it lacks look; see baggie/workcell/camera",
+            r"made a Blind, which is no Camera: it lacks look; see baggie/cameras/camera.py",
         ),
         ("'wrong_cameras:Flat'", r"it has a `size` that is not \(width, height\) in pixels"),
         (

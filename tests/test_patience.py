@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.collect.patience import PAUSES_S, Patience
+from baggie.collect.sitting import PAUSES_S, Patience
 from baggie.errors import ArmError, BaggieError, BumpedError, CameraError, DataError, ReachError, StuckError
 
 PAUSES = (1.0, 5.0, 15.0)

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from PIL import Image as Pillow
 
 from baggie.errors import BaggieError
-from baggie.pictures import as_outline, as_picture
+from baggie.pictures import as_outline, as_picture, read_picture
 from baggie.types import Goal, Observation
 from baggie.vision.draw import region_mask
-from baggie.vision.picture_files import read_picture
 
 RNG = np.random.default_rng(0)
 COLOR = RNG.integers(0, 256, (12, 20, 3), np.uint8)

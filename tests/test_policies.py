@@ -11,7 +11,7 @@ import yaml
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.data.annotation import goal_of
+from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose
 from baggie.policies import (
@@ -21,10 +21,9 @@ from baggie.policies import (
     RegressionPolicy,
     load_policy,
 )
-from baggie.policies.keypoint_net import KeypointNet
-from baggie.policies.regression import RegressionNet, Regressor
-from baggie.policies.resnet import ResNet18, load_imagenet
-from baggie.policies.view import View
+from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.plan import View
+from baggie.policies.regression.policy import RegressionNet, Regressor, ResNet18, load_imagenet
 from policy_contract import check_policy
 from synthetic import RED, box_corners, make_attempt, to_pixels
 

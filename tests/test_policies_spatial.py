@@ -10,15 +10,21 @@ from hypothesis import strategies as st
 
 import fake_workcell
 from baggie.collect.calibrate import calibrate
-from baggie.collect.detect import detect
+from baggie.collect.machine import detect
 from baggie.errors import DataError
 from baggie.geometry import PlanarPose, apply_homography
-from baggie.policies import phase, planar_map
-from baggie.policies.keypoint_plan import CELLS_TO_INPUT, GoalInput, Reading, place_yaw, plan
-from baggie.policies.planar_map import PlanarMap
-from baggie.policies.soft_argmax import gaussians, heat_maps, local_soft_argmax, near_only, soft_argmax
-from baggie.policies.view import View
-from baggie.sim.layout import BAGS_M
+from baggie.policies.keypoint import heads as phase
+from baggie.policies.keypoint import heads as planar_map
+from baggie.policies.keypoint.heads import (
+    PlanarMap,
+    gaussians,
+    heat_maps,
+    local_soft_argmax,
+    near_only,
+    soft_argmax,
+)
+from baggie.policies.keypoint.plan import CELLS_TO_INPUT, GoalInput, Reading, View, place_yaw, plan
+from baggie.sim.variety import BAGS_M
 from baggie.types import Goal, Observation
 from baggie.workcell.workcell import WorkcellSettings
 from synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from baggie.errors import BaggieError, DataError
-from baggie.sim.targets import texture
+from baggie.sim.printed import texture
 from baggie.types import Image
 from baggie.vision.pattern import pattern
 from baggie.vision.printing import draw_goal_card, draw_target, print_goal_card, print_target

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from baggie.geometry import rotation, wrap_angle
 from baggie.policies.transporter.network import Decision
-from baggie.policies.transporter.quarter_turns import turned, turned_back
-from baggie.policies.transporter.scores import Scores
-from baggie.policies.transporter.soft_targets import PlaceAngle
+from baggie.policies.transporter.policy import turned, turned_back
+from baggie.policies.transporter.scores import PlaceAngle, Scores
 
 ROWS, COLUMNS = 24, 16
 YAW = Scores(torch.zeros(1, 12, 1, 1), torch.zeros(1, 2), 1, 1)

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import pytest
 from annotated_types import Interval
 
-from baggie import cli
-from baggie.commissioning.points import parse_marker
+from baggie.cli import main as cli
+from baggie.commissioning.image_to_robot import parse_marker
 from baggie.errors import BaggieError, UsageError
 from baggie.lab.options import LabOptions
 from baggie.ranges import Count, Options, Point, Share, hints

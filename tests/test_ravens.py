@@ -17,7 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from baggie.data.ravens import (
+from baggie.errors import BaggieWarning, DataError
+from baggie.geometry import PlanarPose, transform_points
+from baggie.ravens.format import (
     RAVENS_CAMERAS,
     RavensAction,
     RavensEpisode,
@@ -28,8 +30,6 @@ from baggie.data.ravens import (
     pose_to_planar,
     write_episode,
 )
-from baggie.errors import BaggieWarning, DataError
-from baggie.geometry import PlanarPose, transform_points
 
 FIELDS = ["action", "color", "depth", "info", "reward"]
 STILL = (0.0, 0.0, 0.0, 1.0)

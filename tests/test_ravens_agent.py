@@ -16,15 +16,14 @@ from hypothesis import strategies as st
 
 import baggie
 import ravens_scene
-from baggie.data.ravens import RavensAction, RavensPose
-from baggie.data.ravens_agent import RavensAgent
-from baggie.data.ravens_convert import planar
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid, PlanarPose
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
+from baggie.ravens.agent import RavensAgent
+from baggie.ravens.convert import planar
+from baggie.ravens.format import RavensAction, RavensPose
 from baggie.types import Goal, Observation, PickPlace, Plan
 
 STEPS = len(ravens_scene.STARTS)

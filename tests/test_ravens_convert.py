@@ -12,14 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 import ravens_scene
-from baggie.cli import main
+from baggie.cli.main import main
 from baggie.data import DatasetWriter, open_dataset
-from baggie.data.ravens import RavensFolder, RavensPose, write_episode
-from baggie.data.ravens_convert import ImportOptions, import_ravens, planar
-from baggie.data.ravens_observation import fused
 from baggie.errors import BaggieError, DataError
-from baggie.geometry import wrap_angle
-from baggie.grid import Grid
+from baggie.geometry import Grid, wrap_angle
+from baggie.ravens.convert import ImportOptions, import_ravens, planar
+from baggie.ravens.episode import fused
+from baggie.ravens.format import RavensFolder, RavensPose, write_episode
 from baggie.types import Attempt
 from test_data import expect_same
 

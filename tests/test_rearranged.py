@@ -15,7 +15,7 @@ from baggie.geometry import apply_homography
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.options import TrainOptions
 from baggie.learning.rearranged import Scene, rearranged
-from baggie.learning.things import Things
+from baggie.vision.carried import Things
 from box_scenes import GRID, box_demonstrations
 
 SHOWN = box_demonstrations(6, 0)

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import Rectifier
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
 from synthetic import BAG_HEIGHT_M, BAG_SIDE_M, box_corners, image_to_robot, to_pixels

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from baggie.cameras.camera import check_camera
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.errors import BaggieError, CameraError, LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.robot.arm import Arm
 from baggie.types import PickPlace, Plan
-from baggie.workcell.arm import Arm
-from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.config import open_workcell
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.workcell import Workcell

@@ -10,7 +10,7 @@ from threading import Thread
 
 import pytest
 
-from baggie.evaluation.report import ReportOptions, report
+from baggie.report.report import ReportOptions, report
 from test_report import fused, in_process, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -25,7 +25,7 @@ from test_evaluation_validate import SIZE, record
 SOURCE = Path(baggie.__file__).parents[1]
 RUN = """
 import contextlib, io, json, sys
-from baggie.cli import main
+from baggie.cli.main import main
 
 told = []
 for arguments in json.loads(sys.argv[1]):

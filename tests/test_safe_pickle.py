@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.data.safe_pickle import load_plain, plain_bytes
 from baggie.errors import DataError
+from baggie.ravens.format import load_plain, plain_bytes
 
 DTYPES = ["?", "u1", "<u2", "i4", "<i8", ">i8", "<f4", ">f4", "f8"]
 

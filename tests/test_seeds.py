@@ -9,17 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.collect.places import random_place
+from baggie.collect.machine import random_place
 from baggie.commissioning.hand_eye import lead_to_random_pose
 from baggie.commissioning.simulated_assistant import board_in_view
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.seeds import first_fit
-from baggie.sim.cell import draw_cell
+from baggie.sim.cell import ALL_HUES, RESERVED_APART, draw_cell, random_hue
 from baggie.sim.clutter import STRANGE, draw_distractors
-from baggie.sim.colors import ALL_HUES, RESERVED_APART, random_hue
-from baggie.sim.layout import lay_bags
-from baggie.sim.tasks.layout import REACH, scatter
+from baggie.sim.variety import lay_bags
+from baggie.tasks.layout import REACH, scatter
 from baggie.vision.targets import parse_target
 
 Rng = np.random.Generator

@@ -9,10 +9,17 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baggie.data.appearance import object_mask, without_object
-from baggie.data.shape import Shape, as_it_is, reshaped, turned, with_shape
-from baggie.policies import phase
-from baggie.policies.keypoint_plan import LONG
+from baggie.learning.augmentation import (
+    Shape,
+    as_it_is,
+    object_mask,
+    reshaped,
+    turned,
+    with_shape,
+    without_object,
+)
+from baggie.policies.keypoint import heads as phase
+from baggie.policies.keypoint.plan import LONG
 from baggie.vision.color_mask import find_bag
 
 SIDE = 41

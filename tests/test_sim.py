@@ -11,17 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie  # noqa: F401 -- registers the environments
+from baggie.cameras.camera import check_camera
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
+from baggie.robot.contract import check_arm
+from baggie.robot.franka.models import HOME
+from baggie.robot.kinematics import Kinematics, quintic
+from baggie.sim.arm import JOINT_SPEED_LIMITS
 from baggie.sim.bag import BagParameters, pillow
 from baggie.sim.cell import draw_cell
-from baggie.sim.kinematics import Kinematics, quintic
-from baggie.sim.scene import HOME, arm_spec
+from baggie.sim.scene import arm_spec
 from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import PickPlace
-from baggie.workcell.arm_contract import check_arm
-from baggie.workcell.arm_motions import JOINT_SPEED_LIMITS
-from baggie.workcell.camera_contract import check_camera
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from baggie.workcell.workcell import WorkcellSettings
 from carries import carries_in, check_reached
@@ -199,7 +200,7 @@ def test_a_bag_laid_back_keeps_its_dents_unless_it_is_laid_as_new(cell: Simulate
 
     cell.world.reset(here)
     new = cell.world.bag_points
-    from baggie.workcell.primitives import pick
+    from baggie.robot.primitives import pick
 
     assert pick(cell.arm, here, cell.settings.handling).held
     assert cell.rescue()  # as a person would, who does not knead it
@@ -212,7 +213,7 @@ def test_a_bag_laid_back_keeps_its_dents_unless_it_is_laid_as_new(cell: Simulate
 def test_the_bag_sags_when_held(cell: SimulatedWorkcell) -> None:
     cell.reset((10,))
     start = cell.truth()
-    from baggie.workcell.primitives import pick
+    from baggie.robot.primitives import pick
 
     assert pick(cell.arm, start, cell.settings.handling).held
     heights = cell.world.bag_points[:, 2]

@@ -7,17 +7,15 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, rigid, wrap_angle
+from baggie.robot.arm import Arm
+from baggie.robot.primitives import pick, place
+from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M, SimulatedArm, SuctionArm
 from baggie.sim.block_world import BlockWorld
-from baggie.sim.blocks import Block, stand
+from baggie.sim.blocks import CUP_RADIUS_M, Block, stand
 from baggie.sim.cell import draw_cell
-from baggie.sim.cup import CUP_RADIUS_M
 from baggie.sim.renderer import HIDDEN_GROUP
-from baggie.sim.suction import HOLDING_N, RIM_POINTS, is_flat
-from baggie.sim.tasks import TASKS
-from baggie.workcell.arm import Arm
-from baggie.workcell.primitives import pick, place
-from baggie.workcell.simulated_arm import SimulatedArm
-from baggie.workcell.suction_arm import BLOCK_HANDLING, SEALED_WIDTH_M, SuctionArm
+from baggie.sim.tools import HOLDING_N, RIM_POINTS, is_flat
+from baggie.tasks import TASKS
 
 SIDE_M = 0.04
 BLOCKS = [f"block{number}" for number in range(6)]

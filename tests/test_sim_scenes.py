@@ -13,10 +13,9 @@ import pytest
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.sim.bag import BagParameters, bag_xml, pillow
-from baggie.sim.cell import draw_cell
-from baggie.sim.distractors import Distractor
+from baggie.sim.cell import cloth, draw_cell
+from baggie.sim.clutter import Distractor
 from baggie.sim.scene import build_model
-from baggie.sim.textures import cloth
 from baggie.sim.variety import Scenery
 from baggie.sim.world import World
 from baggie.types import PickPlace

@@ -17,15 +17,16 @@ from baggie.geometry import (
     rigid,
     transform_points,
 )
-from baggie.sim.kinematics import Kinematics
+from baggie.robot.arm import LedArm
+from baggie.robot.franka.models import HOME
+from baggie.robot.kinematics import Kinematics
+from baggie.robot.limits import GuardedArm
+from baggie.sim.printed import SHEET_SIZE_M, SHEET_TEXTURE, T_sheet_target, texture
 from baggie.sim.renderer import CameraRenderer
-from baggie.sim.scene import HOME, arm_spec
+from baggie.sim.scene import arm_spec
 from baggie.sim.sensor import Exposure
-from baggie.sim.targets import SHEET_SIZE_M, SHEET_TEXTURE, T_sheet_target, texture
 from baggie.vision.pattern import pattern
 from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_target
-from baggie.workcell.arm import LedArm
-from baggie.workcell.limits import GuardedArm
 from baggie.workcell.simulated import SimulatedWorkcell
 from recording_arm import RecordingArm
 from test_workcell import SETTINGS

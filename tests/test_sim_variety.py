@@ -11,10 +11,18 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
 from baggie.sim.bag import BagParameters, Shape
-from baggie.sim.cell import PICTURE_SIZE, draw_cell
-from baggie.sim.colors import APART, GOAL_CARD_HUE, PADDLE_HUE, hue_distance, hue_of
-from baggie.sim.layout import BAGS_M, OBSTACLE_M, lay_bags, random_pose
-from baggie.sim.variety import UNSEEN_HUES, VARIED_HUES, Scenery, Variety, draw_variety
+from baggie.sim.cell import APART, GOAL_CARD_HUE, PADDLE_HUE, PICTURE_SIZE, draw_cell, hue_distance, hue_of
+from baggie.sim.variety import (
+    BAGS_M,
+    OBSTACLE_M,
+    UNSEEN_HUES,
+    VARIED_HUES,
+    Scenery,
+    Variety,
+    draw_variety,
+    lay_bags,
+    random_pose,
+)
 from baggie.workcell.workcell import WorkcellSettings
 
 CELL, BAG, WORKSPACE = draw_cell(0), BagParameters(), WorkcellSettings().workspace

@@ -14,13 +14,11 @@ from unittest.mock import Mock
 import pytest
 
 import baggie
-from baggie import system_libraries
-from baggie.errors import BaggieError, CameraError
-from baggie.import_errors import explained
-from baggie.sim import gl
-from baggie.workcell.cameras.opening import open_camera
-from baggie.workcell.cameras.settings import CameraSettings
-from baggie.workcell.franka_link import load_franky
+from baggie import gl, system_libraries
+from baggie.cameras.camera import CameraSettings
+from baggie.cameras.opening import open_camera
+from baggie.errors import BaggieError, CameraError, explained
+from baggie.robot.franka.link import load_franky
 
 SOURCE = Path(baggie.__file__).parents[1]
 SCRIPT = SOURCE / "baggie" / "system_libraries.py"

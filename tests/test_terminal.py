@@ -8,12 +8,12 @@ import sys
 import pytest
 from rich.console import Console
 
-from baggie.terminal import ask, is_attended
+from baggie.progress import ask, is_attended
 
 pty = pytest.importorskip("pty", reason="terminals are told apart on POSIX only")
 PROGRAM = """
 import fcntl, os, termios
-from baggie.terminal import is_attended
+from baggie.progress import is_attended
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 print(is_attended(), flush=True)
 if os.fork() == 0:

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from baggie.calibration.files import VIEWS_FILE, read_calibration, read_views_file
 from baggie.calibration.intrinsics.factory import read_factory
 from baggie.errors import BaggieError, DataError
+from baggie.files import parse_yaml, read_json, read_yaml
 from baggie.policies.checkpoint import read_config
 from baggie.policies.color_mask import ColorMaskPolicy
-from baggie.text_files import parse_yaml, read_json, read_yaml
 from baggie.workcell.workcell_file import read_workcell_file
 
 CONTENT = st.recursive(

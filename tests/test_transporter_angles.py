@@ -7,8 +7,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from baggie.policies.transporter.phases import best_angle, coefficients, scores
-from baggie.policies.transporter.soft_targets import (
+from baggie.policies.transporter.scores import (
     PlaceAngle,
     bin_angles,
     cross_entropy,
@@ -16,6 +15,7 @@ from baggie.policies.transporter.soft_targets import (
     log_softmax,
     soft_targets,
 )
+from baggie.policies.transporter.spatial import best_angle, coefficients, scores
 
 B, N, M, H, W = 2, 5, 3, 4, 6
 TURN = 2 * math.pi

@@ -13,13 +13,18 @@ from hypothesis import strategies as st
 
 from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.rectify import Rectifier
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.learning import TrainOptions, train
-from baggie.learning.demonstrations import read_demonstrations
+from baggie.learning.demonstrations import (
+    read_demonstrations,
+    rectified,
+    rectifier_for,
+    with_seen_symmetry,
+    with_turns,
+)
 from baggie.learning.moved_maps import MovedMaps, Moves, rigid_move
-from baggie.learning.rectified import rectified, rectifier_for, with_seen_symmetry, with_turns
 from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy

@@ -12,13 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieError, DataError
-from baggie.geometry import apply_homography, wrap_angle
-from baggie.grid import Grid
+from baggie.geometry import Grid, apply_homography, wrap_angle
 from baggie.learning import TrainOptions, train
 from baggie.learning.demonstrations import read_demonstrations
-from baggie.learning.episodes import split_episodes
 from baggie.learning.measure import measure
 from baggie.learning.moved_maps import MovedMaps, Moves, random_move, rigid_move
+from baggie.learning.split import split_episodes
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import load_policy
 from baggie.types import Goal, Observation

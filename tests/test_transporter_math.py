@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
-from baggie.policies.transporter.correlation import correlate
-from baggie.policies.transporter.rotation import rotated_crops
+from baggie.policies.transporter.spatial import correlate, rotated_crops
 
 METHODS = ("fft", "direct")
 seeds, angles = st.integers(0, 10_000), st.floats(-math.pi, math.pi)

@@ -10,19 +10,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
 from baggie.policies import TransporterPolicy, load_policy
-from baggie.policies.keypoint_plan import GoalInput
+from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
-from baggie.policies.transporter.network import Decision, TransporterNet
-from baggie.policies.transporter.paper import Attention, PaperMaps, ResidualFCN
-from baggie.policies.transporter.policy import _over_map
-from baggie.policies.transporter.quarter_turns import turned, turned_back
-from baggie.policies.transporter.sampling import patches
-from baggie.policies.transporter.scores import Scores, turn_angles
-from baggie.policies.transporter.soft_targets import PlaceAngle, soft_targets
-from baggie.policies.transporter.trunk import CELL, DEEPEST, Trunk
+from baggie.policies.transporter.fast import CELL, DEEPEST, Trunk
+from baggie.policies.transporter.network import Attention, Decision, PaperMaps, ResidualFCN, TransporterNet
+from baggie.policies.transporter.policy import _over_map, turned, turned_back
+from baggie.policies.transporter.scores import PlaceAngle, Scores, soft_targets, turn_angles
+from baggie.policies.transporter.spatial import patches
 from baggie.types import Goal, Observation
 from policy_contract import check_policy
 

@@ -10,14 +10,20 @@ from hypothesis import strategies as st
 
 from baggie.geometry import PlanarPose, planar_pose, wrap_angle
 from baggie.seeds import STYLE, generator
-from baggie.sim.blocks import Block, distance_m, extent_m, reach_m
-from baggie.sim.cup import CUP_RADIUS_M
-from baggie.sim.tasks import TASKS, Task
-from baggie.sim.tasks import varied as module
-from baggie.sim.tasks.layout import REACH
-from baggie.sim.tasks.oracle import next_action, remaining
-from baggie.sim.tasks.scoring import RavensScore, all_filled
-from baggie.sim.tasks.varied import STRAY_M, WASTED, cup_rests, pick_point, varied_action
+from baggie.sim.blocks import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
+from baggie.tasks import TASKS, Task
+from baggie.tasks import demonstrator as module
+from baggie.tasks.demonstrator import (
+    STRAY_M,
+    WASTED,
+    cup_rests,
+    next_action,
+    pick_point,
+    remaining,
+    varied_action,
+)
+from baggie.tasks.layout import REACH
+from baggie.tasks.scoring import RavensScore, all_filled
 from ideal_arm import away, carried, poses_of
 
 tasks = st.sampled_from(list(TASKS.values()))

@@ -17,7 +17,7 @@ from baggie.errors import BumpedError
 from baggie.geometry import PlanarPose
 from baggie.types import Image
 from baggie.workcell.simulated import SimulatedWorkcell
-from baggie.workcell.watch import LANDINGS, Watch
+from baggie.workcell.workcell import LANDINGS, Watch
 from fake_workcell import FakeCamera, FakeCell
 from streaming import stream_here
 

@@ -4,8 +4,7 @@ import time
 import pytest
 
 from baggie.errors import ArmError, BaggieError, CameraError
-from baggie.workcell.limits import GuardedArm
-from baggie.workcell.watchdog import Watchdog
+from baggie.robot.limits import GuardedArm, Watchdog
 from baggie.workcell.workcell import WorkcellSettings
 from recording_arm import RecordingArm
 

@@ -11,17 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie
+from baggie.cameras.camera import Camera, CameraSettings
+from baggie.cameras.opening import OpenCamera
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.robot.handling_rules import SIMULATED_HANDLING
+from baggie.robot.limits import GuardedArm
+from baggie.robot.primitives import Handling, pick, place
 from baggie.types import PickPlace, Plan
 from baggie.workcell import config
-from baggie.workcell.camera import Camera
-from baggie.workcell.cameras.opening import OpenCamera
-from baggie.workcell.cameras.settings import CameraSettings
-from baggie.workcell.handling_rules import SIMULATED_HANDLING
-from baggie.workcell.limits import GuardedArm
-from baggie.workcell.primitives import Handling, pick, place
-from baggie.workcell.real import RealWorkcell
+from baggie.workcell.config import RealWorkcell
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
 from recording_arm import RecordingArm, TimelessCell

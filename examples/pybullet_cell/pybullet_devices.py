@@ -14,8 +14,8 @@ import numpy as np
 
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import ToolPose
+from baggie.robot.arm import ArmInfo
 from baggie.types import Intrinsics, Observation
-from baggie.workcell.arm import ArmInfo
 
 PORT = 8765
 _CONNECT_S, _ANSWER_S = 5.0, 120.0
@@ -64,7 +64,7 @@ class Link:
 
 
 class PyBulletArm:
-    """The eight methods of `baggie.workcell.arm.Arm`, and `close`."""
+    """The eight methods of `baggie.robot.arm.Arm`, and `close`."""
 
     def __init__(self, port: int) -> None:
         self.info = ArmInfo("PyBullet's Panda", max_width_m=0.08, max_speed_m_s=1.0, max_force_n=40.0)
@@ -101,7 +101,7 @@ class PyBulletArm:
 
 
 class PyBulletCamera:
-    """Three attributes and a method of `baggie.workcell.camera.Camera`, and `close`."""
+    """Three attributes and a method of `baggie.cameras.camera.Camera`, and `close`."""
 
     def __init__(self, port: int) -> None:
         self.name, self.size = "PyBullet camera", (640, 480)

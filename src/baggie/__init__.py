@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import gymnasium
 
+from baggie.moved import keep_old_names
+
 if TYPE_CHECKING:
     from baggie.data import Dataset
     from baggie.policies import Policy
@@ -19,16 +21,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Policy", "load_policy", "open_dataset", "open_workcell"]
 
-gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs.bag_place:BagPlaceEnv", max_episode_steps=3)
+keep_old_names()
+gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
 for _name, _task in (
     ("BlockPyramid", "block-pyramid"),
     ("PlaceRedInGreen", "place-red-in-green"),
     ("AlignBoxCorner", "align-box-corner"),
     ("BlockInsertion", "block-insertion"),
 ):
-    gymnasium.register(
-        f"baggie/{_name}-v0", entry_point="baggie.envs.blocks:BlockEnv", kwargs={"task": _task}
-    )
+    gymnasium.register(f"baggie/{_name}-v0", entry_point="baggie.envs:BlockEnv", kwargs={"task": _task})
 
 # PyTorch, MuJoCo and pyarrow take seconds to import: each is loaded when it is first needed.
 

@@ -4,9 +4,9 @@ import sys
 
 
 def main() -> int:
-    """Run the command line; see `baggie.cli`."""
+    """Run the command line; see `baggie.cli.main`."""
     # Late, because every worker process imports this module again and needs neither PyTorch nor the other verbs.
-    from baggie.cli import main as run  # noqa: PLC0415
+    from baggie.cli.main import main as run  # noqa: PLC0415
 
     return run()
 

@@ -1,4 +1,18 @@
-"""Errors a user can act on: each says what was expected, what came, and what to do next."""
+"""Errors a user can act on: each says what was expected, what came, and what to do next.
+
+What a package that cannot be imported means for the user.
+
+What only some users need: the command that installs it, true for whoever has Baggie from a checkout or a wheel.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
+
+from baggie.system_libraries import providers, remedy
 
 
 class BaggieError(Exception):
@@ -51,3 +65,38 @@ class UnsureError(BaggieError):
 
 class BaggieWarning(UserWarning):
     """Something a user should know that stops nothing; the message is one line fit for `warning: ...` on a terminal."""
+
+
+_RUINED_MUJOCO = (
+    "MuJoCo here is not whole, as pip leaves it when version 4 replaces a version 3. Give Baggie an environment of "
+    "its own (python3 -m venv), or repair this one: pip install --force-reinstall --no-deps mujoco mujoco-core "
+    "mujoco-studio (what needs MuJoCo 3 there, such as robosuite 1.5.2, stops working then)"
+)
+
+
+def explained(error: ImportError) -> BaggieError | None:
+    """One line on a library of the system that is missing, or on MuJoCo without its core; None for anything else."""
+    text = str(error)
+    if needs := list(providers(text)):
+        names = ", ".join(need.name for need in needs)
+        return BaggieError(f"{names} is not on this machine: {remedy(needs)}")
+    if "mujoco" in text.lower() or (error.name or "").startswith("mujoco"):
+        return BaggieError(_RUINED_MUJOCO)
+    return None
+
+
+_CHECKOUT = Path(__file__).parents[2]
+
+
+def pip_install(*words: str) -> str:
+    """The command that installs into this environment, whether or not it is the shell's."""
+    return shlex.join([sys.executable, "-m", "pip", "install", *words])
+
+
+def install_extra(extra: str) -> str:
+    """The command that installs what an extra of Baggie's, such as `franka`, asks for."""
+    try:
+        wanted = [requirement.partition(";") for requirement in requires("baggie") or ()]
+    except PackageNotFoundError:  # its source is on the path, and nothing is installed
+        return pip_install(f"{_CHECKOUT}[{extra}]")
+    return pip_install(*(package for package, _, when in wanted if f'extra == "{extra}"' in when))

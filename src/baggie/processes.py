@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection, wait
 from typing import TypeVar, cast
 
-from baggie.errors import BaggieError
-from baggie.import_errors import explained
+from baggie.errors import BaggieError, explained
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid, PlanarPose
 from baggie.pictures import as_metres, as_outline, as_picture
 
 _CONVERGED_PX = 1e-6

@@ -42,8 +42,7 @@ from lerobot.utils.feature_utils import dataset_to_policy_features
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.lerobot import IMAGE
 from baggie.errors import DataError
-from baggie.geometry import PlanarPose
-from baggie.grid import Grid
+from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 from synthetic import TASK, make_attempt
 

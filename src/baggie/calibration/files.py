@@ -12,8 +12,7 @@ import numpy as np
 import yaml
 
 from baggie.errors import CalibrationError, DataError
-from baggie.files import write_text
-from baggie.text_files import read_json, read_yaml
+from baggie.files import read_json, read_yaml, write_text
 
 VIEWS_FILE = "views.json"
 MAP_FILE = "image-to-robot.yaml"

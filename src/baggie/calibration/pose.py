@@ -1,19 +1,86 @@
-"""The pose of a camera from points of known position in one picture, robustly and with its uncertainty."""
+"""The pose of a camera from points of known position in one picture, robustly and with its uncertainty.
+
+Rigid transforms that know how sure they are.
+
+A true transform is `R = exp(w) R0`, `t = t0 + d` with a small error (w, d), radians and metres, in the frame the
+transform maps *to*. Its covariance is `(6, 6)`, w first. Errors travel through inversion and composition to first
+order (Barfoot & Furgale, "Associating Uncertainty With Three-Dimensional Poses", 2014, with this choice of error).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
-from baggie.calibration.uncertain import UncertainTransform
 from baggie.errors import CalibrationError
-from baggie.geometry import FloatArray, rigid
+from baggie.geometry import FloatArray, invert_transform, is_rigid, rigid
 from baggie.types import Intrinsics
+
+_ROUNDING = 1e-9
+_RIGID = 1e-6
+"""How far a rotation's rows may be from orthonormal: these files keep all digits."""
+
+
+@dataclass(frozen=True)
+class UncertainTransform:
+    """`T_a_b` and the covariance of its error."""
+
+    transform: FloatArray
+    """`(4, 4)`, maps points of frame b into frame a."""
+    covariance: FloatArray
+    """`(6, 6)`: rotation (radians) and then translation (metres), in frame a."""
+
+    def inverse(self) -> UncertainTransform:
+        """`T_b_a`: R' = R0ᵀ exp(-w), t' = -R' t."""
+        rotation, t = self.transform[:3, :3], self.transform[:3, 3]
+        zero = np.zeros((3, 3))
+        jacobian = np.block([[-rotation.T, zero], [-rotation.T @ _cross(t), -rotation.T]])
+        return UncertainTransform(invert_transform(self.transform), jacobian @ self.covariance @ jacobian.T)
+
+    def __matmul__(self, other: UncertainTransform) -> UncertainTransform:
+        """`T_a_b @ T_b_c`, their errors independent."""
+        rotation, zero = self.transform[:3, :3], np.zeros((3, 3))
+        ours = np.block([[np.eye(3), zero], [-_cross(rotation @ other.transform[:3, 3]), np.eye(3)]])
+        theirs = np.block([[rotation, zero], [zero, rotation]])
+        covariance = ours @ self.covariance @ ours.T + theirs @ other.covariance @ theirs.T
+        return UncertainTransform(self.transform @ other.transform, covariance)
+
+    @property
+    def std_mm(self) -> float:
+        """One standard deviation of the position, root mean square over directions in space together."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]))) * 1000
+
+    @property
+    def std_deg(self) -> float:
+        """The same of the rotation."""
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
+
+    def error_of(self, truth: ArrayLike) -> FloatArray:
+        """`(6,)`: the error (w, d) that would make this transform the true one."""
+        truth = np.asarray(truth, float)
+        turn = Rotation.from_matrix(truth[:3, :3] @ self.transform[:3, :3].T).as_rotvec()
+        return np.concatenate([turn, truth[:3, 3] - self.transform[:3, 3]])
+
+    def holds(self, truth: ArrayLike, probability: float = 0.95) -> bool:
+        """Whether `truth` `(4, 4)` lies in the region that is to hold it with this probability."""
+        error = self.error_of(truth)
+        # Where there is no uncertainty at all, there may be no error but what rounding leaves.
+        distance = error @ np.linalg.inv(self.covariance + _ROUNDING**2 * np.eye(6)) @ error
+        return bool(distance <= chi2.ppf(probability, 6))
+
+
+def _cross(v: FloatArray) -> FloatArray:
+    """`(3, 3)`, with `_cross(a) @ b == cross(a, b)`."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
 
 NOISE_PX, NOISE_COUNTS = 0.15, 4
 """How far off points usually are, per axis, and for how many residuals that knowledge counts: of a lone marker, with
@@ -165,3 +232,22 @@ def _covariance(
         gain = inverse @ by_pose.T @ jacobian[:, 6 : 6 + len(intrinsics_covariance)]
         covariance = covariance + gain @ intrinsics_covariance @ gain.T
     return np.asarray(covariance, float)
+
+
+def uncertainty_to_yaml(pose: UncertainTransform) -> dict[str, Any]:
+    """What stands beside `T_a_b`; the covariance is of rotation (radians) and translation (metres), in frame a."""
+    return {"std_mm": pose.std_mm, "std_deg": pose.std_deg, "covariance": pose.covariance}
+
+
+def pose_from_yaml(content: Mapping[str, Any], name: str) -> UncertainTransform:
+    """`T_a_b` called `name`, with its `uncertainty`. Raises `KeyError`, `TypeError` or `ValueError` when damaged."""
+    covariance = np.array(content["uncertainty"]["covariance"], float).reshape(6, 6)
+    return UncertainTransform(rigid_from_yaml(content, name), covariance)
+
+
+def rigid_from_yaml(content: Mapping[str, Any], name: str) -> FloatArray:
+    """`(4, 4)` called `name`. Raises `KeyError`, `TypeError` or `ValueError` when it is no rigid transform."""
+    transform = np.array(content[name], float)
+    if not is_rigid(transform, _RIGID):
+        raise ValueError(f"{name} is not a rotation and a translation, 4 x 4 numbers")
+    return transform

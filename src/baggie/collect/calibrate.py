@@ -8,15 +8,14 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE, CameraIdentity
-from baggie.calibration.image_to_robot.checks import MIN_POINTS_TWO_HEIGHTS
 from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.calibration.image_to_robot.projection import MIN_POINTS_TWO_HEIGHTS
 from baggie.collect.cell import CollectorCell
-from baggie.collect.detect import at_outline
-from baggie.collect.places import MARGIN_M
-from baggie.commissioning.points import color_finder, grid, visit
+from baggie.collect.machine import MARGIN_M, at_outline
+from baggie.commissioning.image_to_robot import color_finder, grid, visit
 from baggie.errors import BaggieError
 from baggie.geometry import transform_points
-from baggie.vision.picture_files import write_picture
+from baggie.pictures import write_picture
 
 MARKER_HEIGHTS_M = (0.07, 0.17)
 """Above the table while it is looked at; the lower, just clear of a bag that lies there, unless that is higher."""

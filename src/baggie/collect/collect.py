@@ -16,25 +16,20 @@ from rich.console import Console
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.cell import CollectorCell
+from baggie.collect.cell import SIMULATED, CollectorCell, OpenCell, what_opens
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.help import Help
-from baggie.collect.opening import SIMULATED, OpenCell, what_opens
 from baggie.collect.options import INSTRUCTIONS, CollectOptions
-from baggie.collect.patience import PAUSES_S, Patience
-from baggie.collect.sitting import ATTEMPTS_PER_SITTING, Recording, run_sitting
+from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Help, Patience, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
-from baggie.pictures import recorded_size, same_shape
+from baggie.pictures import read_picture, recorded_size, same_shape
 from baggie.processes import ask_parent, stream_in_processes
-from baggie.progress import ProgressBar, progress_bar
-from baggie.terminal import ask, is_attended
+from baggie.progress import ProgressBar, ask, is_attended, progress_bar
 from baggie.types import Attempt
-from baggie.vision.picture_files import read_picture
-from baggie.workcell.watch import Watch
+from baggie.workcell.workcell import Watch
 
 COVERAGE_FILE = "coverage.png"
 
@@ -46,7 +41,7 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
 
     In the cell that the options say, unless `open_cell` opens another. Faults of an arm or a camera that are not
-    simulated are borne with patience (`patience.py`), and a person is asked for what only one can do (`help.py`).
+    simulated are borne with patience (`sitting.py`), and a person is asked for what only one can do.
     Raises `BaggieError` when faults do not end, nobody helps, the cell cannot be calibrated, the disk is full, or the
     folder holds another recording: what was recorded before stays, and the same command goes on from there. Raises
     `KeyboardInterrupt`, with how to go on as its message, when stopped.

@@ -16,11 +16,11 @@ from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.errors import LimitError, ReachError
-from baggie.grid import Grid
+from baggie.geometry import Grid
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
 from baggie.seeds import generator
-from baggie.sim.tasks import Task, find_task
+from baggie.tasks import Task, find_task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 
 _NOT_LOOKED_FOR = np.full((4, 2), np.nan)

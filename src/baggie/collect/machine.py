@@ -10,10 +10,16 @@
                 STOPPED  (nobody helped)
 
 MOVE is the workcell's own pick (with its check of the gripper's width), carry and place.
+
+Where the collector grips and where it puts down.
+
+Where the object is, by its colour in a picture and a map from the picture to the robot.
 """
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -22,19 +28,128 @@ import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
-from baggie.collect.detect import LONG, detect
-from baggie.collect.places import (
-    false_45,
-    grip_yaw,
-    long_place_yaw,
-    nearest_grip,
-    random_place,
-)
-from baggie.errors import BaggieError, LimitError, ReachError
-from baggie.geometry import PlanarPose
+from baggie.errors import BaggieError, BaggieWarning, LimitError, ReachError
+from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
+from baggie.robot.handling_rules import ROOM_M
+from baggie.seeds import first_fit
 from baggie.types import Failure, Observation, Outcome, PickPlace
-from baggie.vision.color_mask import Detection
-from baggie.workcell.handling_rules import ROOM_M
+from baggie.vision.color_mask import Detection, find_bag
+from baggie.workcell.workcell import WorkcellSettings
+
+MIN_DISTANCE_M = 0.20
+MARGIN_M = 0.03
+"""Between any place and the workspace's edge: a soft bag lands up to this far from where it is let go."""
+FALSE_45_RAD = math.radians(7)
+"""Readings this close to 45 degrees are doubted."""
+
+
+def random_place(
+    workspace: Rectangle, last: PlanarPose, rng: np.random.Generator, margin: float = MARGIN_M
+) -> PlanarPose:
+    """A place uniform over the workspace, at least 20 cm from the last, the gripper square to it (yaw 0).
+
+    `margin`: metres between it and the workspace's edge. Raises `BaggieError` when the workspace is too small for two
+    places 20 cm apart.
+    """
+
+    def somewhere() -> PlanarPose:
+        x, y = workspace.sample(rng, margin)
+        return PlanarPose(float(x), float(y), 0.0)
+
+    place = first_fit(somewhere, lambda pose: pose.distance(last) >= MIN_DISTANCE_M)
+    if place is None:
+        raise BaggieError(
+            f"expected a workspace with places {MIN_DISTANCE_M * 100:.0f} cm apart, got {workspace}; "
+            "make it larger"
+        )
+    return place
+
+
+def false_45(yaw: float) -> bool:
+    """Whether a square's angle (radians, modulo a quarter turn) is so near 45 degrees that it may be false.
+
+    The rectangle of least area around a square with soft corners may as well stand on its tip.
+    """
+    return abs(abs(yaw) - math.pi / 4) < FALSE_45_RAD
+
+
+def grip_yaw(yaw: float, believed: bool) -> float:
+    """The gripper's angle for an object at `yaw` (radians, modulo a quarter turn).
+
+    Along the object, so that putting it down with the gripper at 0 squares it to the workspace. A reading of
+    45 degrees is taken for false, and the gripper stays square; but a false one does not survive being moved,
+    so the second in a row is `believed`, and so is one after the square gripper has missed.
+    """
+    return 0.0 if false_45(yaw) and not believed else yaw
+
+
+def long_yaw(image_to_robot: ImageToRobot, corners: FloatArray, yaw: float) -> float:
+    """The angle of a long object's long side; radians in [-pi/2, pi/2).
+
+    `corners` `(4, 2)`, pixels, in turn around it, tell which side is the long one; `yaw`, modulo a quarter turn, its
+    angle. A gripper at this angle closes across the narrow side: at yaw 0 fingers open along y.
+    """
+    sides = np.roll(on_table := image_to_robot.to_robot(corners), -1, axis=0) - on_table
+    x, y = sides[int(np.argmax(np.linalg.norm(sides[:2] - sides[2:], axis=1)))]
+    quarters = round((math.atan2(y, x) - yaw) / (math.pi / 2))
+    return wrap_angle(yaw + quarters * math.pi / 2, math.pi)
+
+
+def long_place_yaw(pick_yaw: float, rng: np.random.Generator) -> float:
+    """The gripper's angle to put a long object down squared up: along x or along y, whichever chance says.
+
+    Along y the way round that turns the wrist less.
+    """
+    return 0.0 if rng.random() < 0.5 else math.copysign(math.pi / 2, pick_yaw)
+
+
+def nearest_grip(workspace: Rectangle, x: float, y: float, reach: float) -> tuple[float, float] | None:
+    """The point of the workspace nearest to (x, y); None where that is more than `reach` metres away."""
+    inside = workspace.nearest(x, y)
+    return inside if math.hypot(inside[0] - x, inside[1] - y) <= reach else None
+
+
+NEAR_M = 0.005
+"""From a plane so near what is seen at half a metre from under a camera 1 m up is 2 mm off, and that will do."""
+LONG = 2
+"""The symmetry of an object that is longer than wide."""
+
+
+def detect(
+    observation: Observation, image_to_robot: ImageToRobot, settings: WorkcellSettings
+) -> tuple[Detection, PlanarPose] | None:
+    """The object of a workcell's settings, in pixels and in the robot's base frame; None where none is in sight.
+
+    `image_to_robot` is for pictures of this size. The yaw is modulo a quarter turn, a long object's modulo half a turn.
+    """
+    found = find_bag(observation.color, settings.object_color)
+    if found is None:
+        return None
+    x, y = image_to_robot.to_robot(found.center)[0]
+    yaw = image_to_robot.yaw_to_robot(found.center, found.yaw)
+    if settings.object_symmetry == LONG:
+        yaw = long_yaw(image_to_robot, found.corners, yaw)
+    return found, PlanarPose(float(x), float(y), yaw)
+
+
+def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings) -> ImageToRobot:
+    """The map at half the object's height, where the middle of what is seen of it is.
+
+    As it is where it knows one height only, with a `BaggieWarning` where that is another.
+    """
+    middle_m = settings.object_size_m[2] / 2
+    if image_to_robot.height_aware:
+        return image_to_robot.at_height(middle_m)
+    if abs(image_to_robot.height_m - middle_m) > NEAR_M:
+        warnings.warn(
+            f"the map from the picture to the robot is right {image_to_robot.height_m:g} m above the table only, the "
+            f"middle of the object is {middle_m:g} m up: places are off by some millimetres; calibrate at two heights, "
+            "or with --intrinsics",
+            BaggieWarning,
+            stacklevel=2,
+        )
+    return image_to_robot
+
 
 MAX_TRIES = 3
 MAX_LOOKS = 3

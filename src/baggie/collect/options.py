@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 from baggie.errors import UsageError
 from baggie.ranges import Count, NotNegative, Options, Seed, Workers
-from baggie.sim.tasks import TASKS
+from baggie.tasks import TASKS
 
 INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
 """The tasks the robot shows itself, and each in words."""

@@ -2,12 +2,18 @@
 
 Attempts `10 k .. 10 k + 9` depend on the seed, the cell and k alone, so any process may run any sitting, and
 one that was interrupted is run again from its start and gives the same attempts.
+
+Faults of arm and camera mend themselves, or end the collection: they are waited out, up to a limit. Of trouble that
+neither the collector nor its cell can mend a person is asked; where none is, the collection waits for one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,9 +23,93 @@ from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.machine import Turn, run_turn, stopped
 from baggie.collect.options import CollectedStyle
 from baggie.data.record import fit
+from baggie.errors import ArmError, CameraError, ReachError, StuckError
 from baggie.geometry import FloatArray
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
+
+LOOK_AGAIN_S = 30.0
+
+
+@dataclass
+class Help:
+    """Waits for a person."""
+
+    ask: Ask | None
+    """Asks somebody at the terminal; None where nobody is there."""
+    wait_s: float
+    """How long to wait for somebody to come where nobody is there."""
+    say: Callable[[str], None]
+    """Gets one line when such a wait begins."""
+    sleep: Callable[[float], None] = time.sleep
+    clock: Callable[[], float] = time.monotonic
+    _until: float = field(default=math.inf, init=False)
+    """When the wait that has begun is over."""
+
+    def helped(self, trouble: str) -> bool:
+        """Whether it is worth another look: a person has helped; or some time of the wait has passed."""
+        if self.ask is not None:
+            return self.ask(trouble)
+        if self._until == math.inf:
+            self._until = self.clock() + self.wait_s
+            if self.wait_s > 0:
+                self.say(f"{trouble}. Waiting {self.wait_s / 60:g} minutes for somebody to help")
+        left = self._until - self.clock()
+        if left <= 0:
+            return False
+        self.sleep(min(left, LOOK_AGAIN_S))
+        return True
+
+    def worked(self) -> None:
+        """Take note that all is well again: the next trouble has a wait of its own."""
+        self._until = math.inf
+
+
+PAUSES_S = (1.0, 5.0, 15.0, 30.0, 60.0, 120.0)
+"""Before each try in a row that follows a fault; a fault after the last of them ends it all."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Patience:
+    """Begins again, later each time, whatever arm or camera interrupted."""
+
+    say: Callable[[str], None]
+    """Gets one line before every pause."""
+    pauses_s: Sequence[float] = PAUSES_S
+    sleep: Callable[[float], None] = time.sleep
+
+    def bear(self, run: Callable[[], Iterable[T]]) -> Iterator[T]:
+        """What `run()` gives; it is called again for what is still missing whenever arm or camera fail.
+
+        Whatever comes is progress, and pauses are short again. A fault that no pause is left for is raised, in one
+        line; at once is `StuckError`, which only a person can do something about, and every other error.
+        """
+        tries = 0
+        while True:
+            try:
+                for result in run():
+                    tries = 0
+                    yield result
+                return
+            except StuckError:
+                raise
+            except (ArmError, CameraError, ReachError) as error:
+                if tries == len(self.pauses_s):
+                    raise type(error)(_given_up(error, tries)) from None
+                self.say(f"{error}. Trying again in {self.pauses_s[tries]:.0f} s")
+                self.sleep(self.pauses_s[tries])
+                tries += 1
+
+
+def _given_up(error: Exception, tries: int) -> str:
+    if tries == 0:
+        return str(error)
+    return (
+        f"{error}. Given up after {tries} more tries in a row that came to nothing; what was recorded is safe, and the "
+        "same command goes on"
+    )
+
 
 ATTEMPTS_PER_SITTING = 10
 STALL_AFTER = 5

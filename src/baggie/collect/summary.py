@@ -10,7 +10,7 @@ import numpy as np
 
 from baggie.data import Dataset
 from baggie.geometry import FloatArray, Rectangle
-from baggie.vision.picture_files import write_figure
+from baggie.pictures import write_figure
 
 _CELL_M = 0.05
 

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from baggie.geometry import FloatArray
-from baggie.terminal import ask
+from baggie.progress import ask
 from baggie.vision.targets import Target
 
 

@@ -12,20 +12,18 @@ import numpy as np
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
-from baggie.calibration.image_to_robot.picture import draw_comparison
+from baggie.calibration.image_to_robot.residuals import draw_comparison
 from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.bench import Bench, LiveOptions, open_bench
-from baggie.commissioning.image_to_robot import MARGIN_M
-from baggie.commissioning.points import marker_finder, parse_marker, visit
+from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
 from baggie.commissioning.printed import HAND_MARKER, TABLE_MARKER
+from baggie.commissioning.session import Bench, LiveOptions, open_bench
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
+from baggie.pictures import read_picture
 from baggie.ranges import Count, Number, Point, Positive
-from baggie.vision.picture_files import read_picture
 from baggie.vision.targets import Marker, parse_target
-from baggie.workcell.watch import Watch
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Watch, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 
 _TOUCH_Z_M = 0.02
@@ -172,8 +170,7 @@ def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, A
     against = Path(str(options.against))
     if against.is_dir():
         from baggie.policies import load_policy  # noqa: PLC0415 -- PyTorch takes its time to import
-        from baggie.policies.keypoint import KeypointPolicy  # noqa: PLC0415
-        from baggie.policies.learned_map import as_calibration  # noqa: PLC0415
+        from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration  # noqa: PLC0415
 
         policy = load_policy(against)
         if not isinstance(policy, KeypointPolicy):

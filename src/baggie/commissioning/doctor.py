@@ -12,11 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from baggie.commissioning.assistant import Helper, PersonAtTerminal
-from baggie.commissioning.health import MOVING, STILL, Check, Doubt
-from baggie.commissioning.health_with_help import HELPED, HelpedCheck, NotTriedError
+from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
 from baggie.errors import BaggieError
+from baggie.progress import ask, is_attended
 from baggie.ranges import Options, Seed
-from baggie.terminal import ask, is_attended
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
@@ -89,9 +88,8 @@ def require_healthy(findings: Sequence[Finding]) -> None:
 
 def _helper(cell: Workcell, options: DoctorOptions) -> Helper | None:
     """Who lays and holds things; None where nobody does."""
-    from baggie.commissioning.lab_assistant import LabAssistant  # noqa: PLC0415 -- all of these import the simulator
-    from baggie.commissioning.simulated_assistant import SimulatedAssistant  # noqa: PLC0415
-    from baggie.lab.control import LabControl  # noqa: PLC0415
+    from baggie.commissioning.simulated_assistant import LabAssistant, SimulatedAssistant  # noqa: PLC0415 -- all of these import the simulator
+    from baggie.lab.web import LabControl  # noqa: PLC0415
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
 
     if options.lab is not None:

@@ -13,22 +13,20 @@ from scipy.spatial.transform import Rotation
 
 from baggie import seeds
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.hand_eye.picture import draw_views
-from baggie.calibration.hand_eye.result import HandEye
+from baggie.calibration.hand_eye.result import HandEye, draw_views
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot, compare
-from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import HAND_BOARD
-from baggie.commissioning.view_folder import ViewFolder
+from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
-from baggie.vision.sag import FLAT
+from baggie.vision.corners import FLAT
 from baggie.vision.targets import parse_target
-from baggie.workcell.arm import hand_pose
 
 MAX_MISSES = 20
 """Pictures in a row without the board, or poses out of reach, before giving up."""

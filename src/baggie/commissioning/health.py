@@ -2,10 +2,17 @@
 
 A check returns what it found. It raises `Doubt` for what a person should look at, and any other `BaggieError` for what
 has to be mended first.
+
+Where the tool's x axis points, seen by how a marker in the hand moves in the picture: no calibration is needed.
+
+What can be wrong with an arm that shows only when somebody lays something under the hand, or fixes something to it.
+
+Checks as in `health.py`, and with a helper besides. One that raises `NotTriedError` found nothing out.
 """
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -14,8 +21,14 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.errors import ArmError, BaggieError, CameraError
-from baggie.geometry import PlanarPose
+from baggie.commissioning.assistant import Helper
+from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder
+from baggie.commissioning.printed import HAND_MARKER
+from baggie.errors import ArmError, BaggieError, CameraError, ReachError
+from baggie.geometry import FloatArray, PlanarPose, rotation
+from baggie.robot.contract import MIN_HEIGHT_M, check_tool_x, highest_m, touch_firm
+from baggie.types import Image
+from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.workcell import Workcell
 
 SLOW_M_S = 0.1
@@ -198,3 +211,140 @@ STILL: Mapping[str, Check] = {
 """Moves nothing."""
 MOVING: Mapping[str, Check] = {"gripper": gripper, "corners": corners, "touch": touch, "park": park}
 """Moves the arm, slowly, over the whole workspace."""
+
+
+TURN_RAD = 0.6
+"""To either side, where the wrist can."""
+FIRST_YAWS = (0.0, math.pi / 2, -math.pi / 2)
+"""The hand begins at the first of these where the marker is seen: the arm may cover it, wherever it truly is."""
+SHARE = 0.2
+"""Of the workspace's length and width, which the hand moves to either side."""
+_SPEED_M_S = 0.1
+_ENOUGH = 4
+"""Of five places, along both axes."""
+_SEEN_SHARE = 0.02
+"""Of the picture's width: what moves less than this with the hand is not the marker in it."""
+_ODD_SHARE = 0.25
+"""Of its way, so far off may a marker be seen that moves along a plane."""
+
+
+def first_of(*finds: Find) -> Find:
+    """Finds what the first of these finds that finds something."""
+
+    def find(image: Image) -> FloatArray | None:
+        return next((at for one in finds if (at := one(image)) is not None), None)
+
+    return find
+
+
+def see_tool_x(cell: Workcell, find: Find, high_z_m: float) -> float | None:
+    """Radians in the base frame: where the marker is from the tool at yaw 0, in truth.
+
+    The hand moves over the middle of the workspace at a height, along x and y, and turns. None where no marker is seen
+    to move with it.
+    """
+    area = cell.settings.workspace
+    middle = np.array([area.x_min + area.x_max, area.y_min + area.y_max]) / 2
+    dx, dy = SHARE * (area.x_max - area.x_min), SHARE * (area.y_max - area.y_min)
+
+    def look_from(x: float, y: float, yaw: float) -> list[FloatArray]:
+        target = PlanarPose(float(middle[0]) + x, float(middle[1]) + y, yaw).at_height(high_z_m)
+        try:
+            pose = cell.arm.move_to(target, cell.arm.at_most(_SPEED_M_S))
+        except ReachError:
+            return []
+        pixel = find(cell.camera.look().color)
+        return [] if pixel is None else [np.array([*(pose.planar.xy - middle), pose.yaw, *pixel])]
+
+    for yaw in FIRST_YAWS:
+        moved = look_from(0.0, 0.0, yaw)
+        if not moved:
+            continue
+        for x, y in ((dx, 0.0), (-dx, 0.0), (0.0, dy), (0.0, -dy)):
+            moved += look_from(x, y, yaw)
+        turned = look_from(0.0, 0.0, yaw + TURN_RAD) + look_from(0.0, 0.0, yaw - TURN_RAD)
+        if len(moved) >= _ENOUGH and turned:
+            return _direction(np.array(moved), np.array(turned), cell.camera.size[0])
+    return None
+
+
+def _direction(moved: FloatArray, turned: FloatArray, width_px: int) -> float | None:
+    """From `(N, 5)` x, y, yaw of the tool and u, v of the marker: moved along at one yaw, and turned from it."""
+    plane, pixels = np.c_[moved[:, :2], np.ones(len(moved))], moved[:, 3:]
+    to_pixels, *_ = np.linalg.lstsq(plane, pixels, rcond=None)
+    way_px = float(np.ptp(pixels, axis=0).max())
+    off_px = float(np.linalg.norm(plane @ to_pixels - pixels, axis=1).max())
+    if way_px < _SEEN_SHARE * width_px or off_px > _ODD_SHARE * way_px:
+        return None
+    # The marker at the turned hand, less where it would be without the turn, is (R - R0) times where it is in the hand.
+    shifts = (turned[:, 3:] - to_pixels[2]) @ np.linalg.inv(to_pixels[:2]) - turned[:, :2]
+    turns = [rotation(yaw) - rotation(moved[0, 2]) for yaw in turned[:, 2]]
+    in_hand, *_ = np.linalg.lstsq(np.vstack(turns), shifts.ravel(), rcond=None)
+    return math.atan2(in_hand[1], in_hand[0])
+
+
+class NotTriedError(BaggieError):
+    """Nobody did what the check needs."""
+
+
+HelpedCheck = Callable[[Workcell, Helper], str]
+
+
+def force(cell: Workcell, helper: Helper) -> str:
+    """The arm feels a firm thing, with the right sign."""
+    at = _go_above(cell)
+    heights = (MIN_HEIGHT_M, highest_m(cell.arm, high(cell)))
+    height = helper.lay_firm(heights, "lay a firm thing (a block of wood, a book) under the hand")
+    if height is None:
+        raise NotTriedError("nobody laid a firm thing under the hand: whether the arm feels is not known")
+    try:
+        return touch_firm(cell.arm, at, height, helper.clock)
+    finally:
+        helper.put_away()
+
+
+def tool_x(cell: Workcell, helper: Helper) -> str:
+    """The tool's x axis points where its yaw says."""
+    _go_above(cell)
+    marker = parse_target(HAND_MARKER)
+    assert isinstance(marker, Marker)
+    helper.hold(
+        None,
+        "fix the printed hand-marker or the coloured paddle in front of the fingertips, on the side where the tool's x "
+        "axis points, facing up; nobody comes near the arm. Or leave it out",
+    )
+    try:
+        find = first_of(marker_finder(marker), color_finder(cell.settings.marker.color))
+        seen = see_tool_x(cell, find, high(cell))
+        by = "by the marker in the hand"
+        if seen is None:
+            seen, by = _asked(cell, helper), "as somebody says"
+        return f"{check_tool_x(seen, 0.0)}, {by}"
+    finally:
+        helper.put_away()
+        cell.arm.park()
+
+
+def _asked(cell: Workcell, helper: Helper) -> float:
+    """Radians; somebody looks at the hand at yaw 0."""
+    _go_above(cell)
+    away = helper.confirm(
+        "no marker is seen to move with the hand. It is at yaw 0 now: does the side where the tool's x axis is to be "
+        "(its front, where a marker would be) point away from the robot's base?"
+    )
+    if away is None:
+        raise NotTriedError(
+            "no marker was seen to move with the hand, and nobody said where its x axis points"
+        )
+    return 0.0 if away else math.pi
+
+
+def _go_above(cell: Workcell) -> PlanarPose:
+    """Above the middle of the workspace, at yaw 0."""
+    at = PlanarPose(*middle(cell))
+    cell.arm.move_to(at.at_height(high(cell)), cell.arm.at_most(SLOW_M_S))
+    return at
+
+
+HELPED: Mapping[str, HelpedCheck] = {"force": force, "tool x": tool_x}
+"""Moves the arm, slowly, and needs somebody."""

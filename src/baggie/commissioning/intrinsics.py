@@ -7,7 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, import_intrinsics
+from baggie.calibration.intrinsics.camera_calibration import (
+    CameraCalibration,
+    draw_coverage,
+    import_intrinsics,
+)
 from baggie.calibration.intrinsics.fit import (
     BoardView,
     calibrate_intrinsics_from,
@@ -15,13 +19,11 @@ from baggie.calibration.intrinsics.fit import (
     is_new,
     next_view,
 )
-from baggie.calibration.intrinsics.picture import draw_coverage
-from baggie.commissioning.bench import Bench, From, LiveOptions, open_bench, show_live
 from baggie.commissioning.printed import BOARD
-from baggie.commissioning.view_folder import ViewFolder
+from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
-from baggie.vision.picture_files import read_picture
+from baggie.pictures import read_picture
 from baggie.vision.targets import parse_target
 
 MAX_LOOKS = 400

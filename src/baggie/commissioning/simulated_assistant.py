@@ -1,4 +1,7 @@
-"""The person beside the simulated workcell."""
+"""The person beside the simulated workcell.
+
+The person beside a virtual lab, through its control channel.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
-from baggie.commissioning.world import T_world_target
+from baggie.commissioning.printed import T_world_target
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform, rigid, transform_points
+from baggie.lab.web import LabControl
 from baggie.seeds import first_fit
 from baggie.sim.cell import Cell
 from baggie.vision.targets import Marker, Target
@@ -150,3 +154,34 @@ def lying(target: Target, pose: PlanarPose) -> FloatArray:
     rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     middle = target.points.mean(axis=0) * [1.0, 1.0, 0.0]  # however it sags, its corners are on the table
     return rigid(rotation, np.array([pose.x, pose.y, 0.0]) - rotation @ middle)
+
+
+class LabAssistant:
+    """Does in the lab what `Helper` asks for. Raises `BaggieError` where no lab answers."""
+
+    def __init__(self, control: LabControl) -> None:
+        self._control = control
+
+    def hold(self, target: Target | None, words: str) -> None:
+        """The paddle, whatever it is to be."""
+        self._control.show_paddle(True)
+
+    def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
+        """The block, under the hand, and the bag out of its way."""
+        tool = self._control.truth()["tool"]
+        self._control.lay_bag(ASIDE)
+        self._control.lay_block(PlanarPose(tool["x"], tool["y"]), BLOCK_M)
+        return BLOCK_M
+
+    def confirm(self, question: str) -> bool | None:
+        """Nobody looks."""
+        return None
+
+    def clock(self) -> float:
+        """The lab's, which is not the wall clock's on a busy computer."""
+        return float(self._control.truth()["time"])
+
+    def put_away(self) -> None:
+        """Out of hand and off the table; the bag stays aside."""
+        self._control.show_paddle(False)
+        self._control.take_block_away()

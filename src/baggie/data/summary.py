@@ -1,10 +1,14 @@
-"""What a dataset holds: in numbers, and as a picture of pictures."""
+"""What a dataset holds: in numbers, and as a picture of pictures.
+
+Goals for recorded attempts: where the bag came to rest is where it had been meant to go.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,14 +18,14 @@ import numpy as np
 import tyro
 from annotated_types import Interval
 
-from baggie.data.contents import DONE
 from baggie.data.dataset import Dataset, open_dataset
-from baggie.errors import DataError
-from baggie.geometry import FloatArray, PlanarPose
-from baggie.grid import Grid
+from baggie.data.writer import DONE
+from baggie.errors import BaggieError, DataError
+from baggie.geometry import FloatArray, Grid, PlanarPose
+from baggie.pictures import write_picture
 from baggie.ranges import Options
-from baggie.types import Attempt, Image, Observation
-from baggie.vision.picture_files import write_picture
+from baggie.types import Attempt, Goal, Image, Observation
+from baggie.vision.draw import check_goal
 
 _CELL_M = 0.05
 """Side of the squares that coverage counts."""
@@ -199,3 +203,43 @@ def _thumbnail(picture: Image, boxes: dict[tuple[int, int, int], FloatArray]) ->
             fixed = np.round(((corners + 0.5) * factor - 0.5) * 16).astype(np.int32)
             cv2.polylines(small, [fixed], True, color, 1, cv2.LINE_AA, 4)
     return np.asarray(small, np.uint8)
+
+
+_DONE = 1 - 1e-6
+
+
+def goal_of(attempt: Attempt) -> Goal:
+    """The bag's box in the picture after, as the goal in the picture before.
+
+    Hindsight relabelling: whatever the attempt was meant to do, it shows how to reach where the bag lies now.
+    Nothing is painted here; `baggie.vision.draw.paint_goal` does that when a picture is read, so that one
+    recording serves every style and colour, the printed card's in today's light too (`vision.goal_card.measure_color`).
+    Raises `DataError` when the bag was not found in the picture after.
+    """
+    if not np.isfinite(attempt.box_after).all():
+        raise DataError(
+            f"attempt {attempt.attempt_id} has no goal: the bag was not found in its picture after"
+        )
+    return Goal(np.asarray(attempt.box_after, float))
+
+
+def shown_goal(attempt: Attempt) -> Goal | None:
+    """Where the object came to rest, as the goal in the picture before; None for a task without a marked goal."""
+    return goal_of(attempt) if np.isfinite(attempt.box_after).all() else None
+
+
+def is_demonstration(attempt: Attempt) -> bool:
+    """Whether an attempt can teach: it succeeded, and its goal lies wholly in the picture before."""
+    if not attempt.outcome.success:
+        return False
+    try:
+        check_goal(goal_of(attempt), attempt.before.size)
+    except BaggieError:
+        return False
+    return True
+
+
+def did_its_task(rewards: Iterable[float | None]) -> bool:
+    """Whether an episode with these rewards did its task: they add up to 1, or nobody counted (None or NaN)."""
+    counted = [reward for reward in rewards if reward is not None and not math.isnan(reward)]
+    return not counted or sum(counted) >= _DONE

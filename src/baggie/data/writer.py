@@ -1,27 +1,205 @@
-"""Recording attempts, one at a time, so that none is lost or doubled whatever happens."""
+"""Recording attempts, one at a time, so that none is lost or doubled whatever happens.
+
+What a writer remembers of the attempts on disk.
+
+What a dataset holds, made true again after its writer was killed.
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from baggie.data import lerobot
-from baggie.data.contents import Contents
-from baggie.data.files import Lock, json_bytes, parquet_bytes, read_parquet, write_all
-from baggie.data.index import write_index
-from baggie.data.layout import Layout
-from baggie.data.png import encode_color
-from baggie.data.record import fit, to_record, to_table
-from baggie.data.repair import repair
-from baggie.data.settings import DatasetSettings
-from baggie.data.statistics import histogram
+from baggie.data.dataset import first_gap, read_numbers, write_index
+from baggie.data.files import (
+    DatasetSettings,
+    Layout,
+    Lock,
+    check_complete,
+    json_bytes,
+    parquet_bytes,
+    read_json,
+    read_parquet,
+    remove,
+    write_all,
+)
+from baggie.data.lerobot import FeatureStats, RunningStats, histogram, pixel_stats
+from baggie.data.record import Record, encode_color, fit, to_record, to_table
 from baggie.errors import DataError
 from baggie.types import Attempt
+
+DONE = 1 - 1e-6
+"""What an episode earns when its task is done, but for rounding: six times a sixth is less than 1."""
+
+
+class Contents:
+    """Ids, episodes, and statistics of numbers and pixels; of the last episode, which may grow, all frames."""
+
+    def __init__(self, numbers: pa.Table) -> None:
+        """Start from the numbers of the records on disk, in LeRobot's order."""
+        self.attempt_ids: set[int] = set()
+        self.episodes: dict[int, int] = {}
+        """How many attempts of each episode there are, in the order in which they were begun."""
+        self.frames: Sequence[lerobot.Frame] = []
+        """Of the last of LeRobot's episodes."""
+        self.last: int = -1
+        """LeRobot's number of that episode."""
+        self.histogram = np.zeros((3, 256), np.int64)
+        """Of that episode's pictures: how many pixels have each value."""
+        self._growing: int | None = None
+        self._earned = 0.0
+        pictures = numbers["histogram"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
+        histograms = pictures.reshape(-1, 3, 256)
+        frames = [
+            self._count(record, histogram)
+            for record, histogram in zip(
+                numbers.drop_columns("histogram").to_pylist(), histograms, strict=True
+            )
+        ]
+        self._numbers = RunningStats(frames, lerobot.DTYPES)
+        self._pixels = histograms.sum(axis=0, dtype=np.int64)
+
+    def add(self, record: Record, histogram: NDArray[np.int32]) -> lerobot.Frame:
+        """Count one attempt more, of whose picture this is the histogram `(3, 256)`; its frame."""
+        frame = self._count(record, histogram)
+        self._numbers.add(frame)
+        self._pixels += histogram
+        return frame
+
+    def _count(self, record: Record, histogram: NDArray[np.int32]) -> lerobot.Frame:
+        """Add to everything but the statistics of the whole."""
+        episode, step, reward = record["episode"], record["step"], record["reward"]
+        if step == 0:
+            self.last, self.frames, self._earned = record["episode_index"], [], 0.0
+            self.histogram = np.zeros((3, 256), np.int64)
+        self._earned += reward or 0.0
+        # Of those that were given up, no frame is done: whether another attempt follows is not known in time.
+        done = episode is None or self._earned >= DONE
+        frame = lerobot.frame_of(record, len(self.attempt_ids), done)
+        self.frames = [*self.frames, frame]
+        self.histogram = self.histogram + histogram
+        self.attempt_ids.add(record["attempt_id"])
+        self._growing = episode
+        if episode is not None:
+            self.episodes[episode] = step + 1
+        return frame
+
+    def episode_for(self, attempt: Attempt) -> int:
+        """LeRobot's number of the episode that an attempt goes into: the last one, or a new one.
+
+        Raises DataError when it is out of order.
+        """
+        episode, step = attempt.episode, attempt.step
+        if episode is None:
+            if step != 0:
+                raise DataError(
+                    f"attempt {attempt.attempt_id}: expected step 0 of an attempt that stands alone, got {step}; "
+                    "say which episode it belongs to"
+                )
+            return self.last + 1
+        if episode < 0:
+            raise DataError(
+                f"attempt {attempt.attempt_id}: expected an episode of 0 or more, got {episode}; count from 0"
+            )
+        expected = self.episodes.get(episode, 0)
+        if step != expected:
+            raise DataError(
+                f"attempt {attempt.attempt_id}: expected step {expected} of episode {episode}, got {step}; "
+                "record the attempts of an episode one after the other, from step 0 on"
+            )
+        if step > 0 and episode != self._growing:
+            raise DataError(
+                f"attempt {attempt.attempt_id}: expected episode {episode} to be the last one recorded, got another "
+                "one's attempts between its own; record the attempts of an episode one after the other"
+            )
+        return self.last if step else self.last + 1
+
+    def stats(self) -> dict[str, FeatureStats]:
+        """The content of `stats.json`."""
+        return {lerobot.IMAGE: pixel_stats(self._pixels, len(self.attempt_ids)), **self._numbers.stats()}
+
+
+def repair(layout: Layout, settings: DatasetSettings) -> Contents:
+    """Complete or remove what a killed writer left unfinished, and say what is there.
+
+    The files of an attempt are renamed to their places in the order record, episode, data, statistics,
+    `info.json`. So at most one attempt is unfinished: with its frame in the data file it is complete but for
+    statistics and `info.json`, and those are written again; without, what there is of it is removed, and the
+    description of the episode it was to go into is written anew. Raises DataError when files that `info.json`
+    counts are missing or cut off, or when another tool changed the dataset; then nothing is touched.
+    """
+    info = read_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    counted = info["total_episodes"]
+    files = layout.frames()
+    episodes = max(counted, len(files))
+    expected = [layout.data(episode) for episode in range(episodes)]
+    if episodes > counted + 1 or files != expected[: len(files)]:
+        raise DataError(
+            f"{layout.root}/data was changed by another tool: it no longer holds one file per episode; "
+            "record into another folder and merge the two with LeRobot"
+        )
+    check_complete(expected)
+    check_complete(layout.episode(episode) for episode in range(episodes))
+    frames = read_parquet(expected[-1], ["frame_index"]).num_rows if expected else 0
+    numbers = read_numbers(layout)
+    inside = pc.or_(pc.less(numbers["episode_index"], episodes - 1), pc.less(numbers["step"], frames))
+    numbers = numbers.filter(pc.and_(pc.less(numbers["episode_index"], episodes), inside))
+    _check_whole(layout, numbers, episodes, frames, info["total_frames"])
+    contents = Contents(numbers)
+    wanted = {layout.attempt(attempt_id) for attempt_id in contents.attempt_ids}
+    wanted |= {layout.episode(episode) for episode in range(episodes)}
+    orphans = [path for path in (*layout.attempts(), *layout.episodes()) if path not in wanted]
+    # Orphans go last: as long as one is there, a repair that was itself killed is made again.
+    if len(numbers) != info["total_frames"] or orphans or not layout.info.exists():
+        _describe(layout, settings, contents)
+    remove([*orphans, *layout.partial.glob("[0-9]*-*")])
+    return contents
+
+
+def _check_whole(layout: Layout, numbers: pa.Table, episodes: int, in_last: int, counted: int) -> None:
+    """Raise DataError where the record of a frame is missing.
+
+    `in_last`: frames of the last episode; `counted`: how many `info.json` counts in all.
+    """
+    gap = first_gap(numbers, episodes)
+    if gap is None and numbers["episode_index"].to_pylist().count(episodes - 1) != in_last:
+        gap = episodes - 1
+    if gap is not None:
+        raise DataError(
+            f"{layout.root}/attempts lacks a record of episode {gap}: put it back from a copy, "
+            "or record into another folder"
+        )
+    if not counted <= len(numbers) <= counted + 1:
+        raise DataError(
+            f"{layout.root} counts {counted} frames, but its `attempts/` holds {len(numbers)} records: "
+            "another tool changed it; put the recording back from a copy"
+        )
+
+
+def _describe(layout: Layout, settings: DatasetSettings, contents: Contents) -> None:
+    """Write the files that describe the whole, and the last episode, anew."""
+    episodes, frames = contents.last + 1, len(contents.attempt_ids)
+    info = lerobot.info(episodes, frames, settings.picture_size, settings.robot_type)
+    files = [(layout.info, json_bytes(info, indent=4))]
+    if episodes:
+        last = lerobot.episode_table(contents.frames, contents.histogram, settings.task)
+        files = [
+            (layout.tasks, parquet_bytes(lerobot.tasks_table(settings.task))),
+            (layout.episode(contents.last), parquet_bytes(last)),
+            (layout.stats, json_bytes(contents.stats())),
+            *files,
+        ]
+    write_all(files, layout.partial)
+
 
 _INDEX_EVERY = 1000
 """Attempts between two gatherings of their numbers; the last is made on closing."""

@@ -1,21 +1,93 @@
-"""One closed-loop episode of a task with blocks: look, plan, move, until it is done or its steps are used up."""
+"""One closed-loop episode of a task with blocks: look, plan, move, until it is done or its steps are used up.
+
+The closed loop with blocks: tasks of several steps, scored as Ravens does and strictly.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
-from baggie.evaluation.block_bench import BlockBench
-from baggie.evaluation.kind import EpisodeRecord
+from baggie.evaluation.episode import EpisodeRecord, Kind, MovingCell, Turn, take_turn
 from baggie.evaluation.log import Record
-from baggie.evaluation.map_pictures import save_map, save_step
-from baggie.evaluation.pictures import save_mp4
-from baggie.evaluation.turn import Turn, take_turn
+from baggie.evaluation.options import EvaluateOptions
+from baggie.evaluation.pictures import save_map, save_mp4, save_step
+from baggie.evaluation.subjects import open_policy
+from baggie.metrics import success_rate, summary
+from baggie.policies import DemonstratorPolicy, OraclePolicy, Policy
 from baggie.policies.memory import remembering
+from baggie.seeds import EVALUATION
+from baggie.tasks import Task
+from baggie.types import Image, Observation
+
+
+class Score(Protocol):
+    """How much is done as Ravens counts."""
+
+    @property
+    def total(self) -> float:
+        """1 for all of the task."""
+        ...
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left that counts."""
+        ...
+
+
+class BlockCell(MovingCell, Protocol):
+    """A workcell with a task, whose scenes can be set and which knows how much is done: a simulated one."""
+
+    @property
+    def task(self) -> Task: ...  # noqa: D102 -- a workcell's attributes
+
+    @property
+    def score(self) -> Score: ...  # noqa: D102
+
+    def reset(self, seed: Sequence[int]) -> None:
+        """A new scene, drawn from the random stream with this name."""
+        ...
+
+    def look(self) -> Observation:
+        """The table from straight above, with heights, the arm out of the way."""
+        ...
+
+    def count(self) -> float:
+        """What has been done of the task since the last call, all of it being 1; after every turn."""
+        ...
+
+    def strict_success(self) -> bool:
+        """Whether all is done, with heights, each thing in a place of its own, and stays so for two seconds."""
+        ...
+
+    def film(self, size: tuple[int, int] = ..., fps: int = ...) -> AbstractContextManager[list[Image]]:
+        """Frames of the arm at work while open."""
+        ...
+
+
+@dataclass(frozen=True)
+class BlockBench:
+    """A cell and the policy to try in it."""
+
+    cell: BlockCell
+    policy: Policy
+
+
+def open_block_bench(options: EvaluateOptions) -> BlockBench:
+    """The simulated workcell with the task, and the policy named; imported late, because MuJoCo takes its time."""
+    from baggie.workcell.block_workcell import open_block_workcell  # noqa: PLC0415
+
+    oracle = options.policy == OraclePolicy.name
+    policy = None if oracle else open_policy(options.policy, None, options.device)
+    cell = open_block_workcell(options.task, options.cell)
+    return BlockBench(cell, policy or DemonstratorPolicy(cell.demonstrate))
+
 
 FILM_FPS = 5
 PLAY_FPS = 20
@@ -118,3 +190,41 @@ def run_block_episode(
         message="" if success else steps[-1].message,
         wall_s=time.perf_counter() - began,
     )
+
+
+def _run(bench: BlockBench, number: int, options: EvaluateOptions) -> BlockEpisode:
+    out, film = options.out / "episodes", number < options.film
+    return run_block_episode(bench, number, (EVALUATION, options.seed), out=out, film=film)
+
+
+def _measure(episodes: Sequence[BlockEpisode], _options: EvaluateOptions) -> dict[str, Any]:
+    """`success` strictly and as Ravens counts, `partial_credit`, steps, times, and failures by their cause."""
+    count, steps = len(episodes), [step for episode in episodes for step in episode.steps]
+    return {
+        "success": success_rate(sum(episode.success for episode in episodes), count),
+        "ravens_success": success_rate(sum(episode.ravens_success for episode in episodes), count),
+        "partial_credit": summary([episode.partial_credit for episode in episodes]),
+        "steps": summary([len(episode.steps) for episode in episodes]),
+        "decision_ms": summary([step.decision_ms for step in steps]),
+        "failures": _counted(episode.failure for episode in episodes),
+        "failed_steps": _counted(step.failure for step in steps),
+    }
+
+
+def _counted(causes: Iterable[str]) -> dict[str, int]:
+    """How often each came, the most frequent first; no cause is no failure."""
+    return dict(Counter(cause for cause in causes if cause).most_common())
+
+
+def _note(episode: BlockEpisode) -> str:
+    return f"last got {100 * episode.partial_credit:.0f}% done"
+
+
+BLOCKS = Kind(
+    log="block-episodes.jsonl",
+    episode=BlockEpisode,
+    open_bench=open_block_bench,
+    run=_run,
+    measure=_measure,
+    note=_note,
+)

@@ -11,9 +11,9 @@ from baggie.data import Dataset
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import COLLECTION, generator
 from baggie.sim.blocks import Block, distance_m
-from baggie.sim.tasks import Scene, Task
-from baggie.sim.tasks.oracle import remaining
-from baggie.sim.tasks.scoring import RavensScore, counts
+from baggie.tasks import Scene, Task
+from baggie.tasks.demonstrator import remaining
+from baggie.tasks.scoring import RavensScore, counts
 from baggie.types import PickPlace
 
 _SAME_REWARD = 1e-3

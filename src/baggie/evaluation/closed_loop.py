@@ -12,32 +12,25 @@ import cv2
 import torch
 from rich.console import Console
 
-from baggie.collect.opening import robot_of
+from baggie.collect.cell import robot_of
 from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
-from baggie.evaluation.block_tasks import BLOCKS
-from baggie.evaluation.kind import EpisodeRecord, Kind
+from baggie.evaluation.block_episode import BLOCKS
+from baggie.evaluation.episode import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.results import EVALUATION, check_unmixed, provenance, write_json
-from baggie.evaluation.subjects import (
-    UNKNOWN,
-    check_taught,
-    config_of,
-    fingerprint,
-    in_its_cell,
-    policy_name,
-)
+from baggie.evaluation.subjects import UNKNOWN, check_taught, config_of, fingerprint, in_its_cell, policy_name
 from baggie.policies.learned import check_device
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
+from baggie.results import EVALUATION, check_unmixed, provenance, write_json
 
 __all__ = ["EvaluateOptions", "OpenBench", "evaluate"]
 
 _LATER = frozenset({"device", "calibration", "workcell_says"})
 """What older versions did not write down of an evaluation."""
 OpenBench = Callable[[EvaluateOptions], Any]
-"""Makes a cell and the policy in it, a bench of the task's kind (`baggie.evaluation.kind`); called once in each
+"""Makes a cell and the policy in it, a bench of the task's kind (`baggie.evaluation.episode`); called once in each
 process, so it must be a function of a module.
 """
 

@@ -1,24 +1,118 @@
-"""One closed-loop episode: a scene nobody has seen, a goal, look, plan, move, and where the bag ends."""
+"""One closed-loop episode: a scene nobody has seen, a goal, look, plan, move, and where the bag ends.
+
+What differs between kinds of tasks in the closed loop; all else is in `closed_loop.py`.
+
+One turn of the loop: a plan from a picture, carried out, and what went wrong by whose account.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
 
-from baggie.evaluation.bench import Bench
-from baggie.evaluation.episode_pictures import EpisodeScene, save_pictures
+from rich.console import Console
+
+from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
-from baggie.evaluation.kind import EpisodeRecord
-from baggie.evaluation.metrics import position_error_cm, yaw_error_deg
-from baggie.evaluation.options import GoalKind
-from baggie.evaluation.pictures import save_mp4
-from baggie.evaluation.turn import Turn, take_turn
+from baggie.evaluation.log import Record
+from baggie.evaluation.options import EvaluateOptions, GoalKind
+from baggie.evaluation.pictures import EpisodeScene, save_mp4, save_pictures
+from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
-from baggie.types import Goal, Observation
+from baggie.metrics import position_error_cm, yaw_error_deg
+from baggie.types import Goal, Observation, Outcome, Plan
 from baggie.vision.draw import check_goal
+
+
+@dataclass(frozen=True)
+class EpisodeRecord(Record):
+    """What every kind of episode is logged with."""
+
+    episode: int
+    """Its number: all but the times in a record depend on this, the seed and the cell alone."""
+
+
+AnyBench = TypeVar("AnyBench")
+AnyEpisode = TypeVar("AnyEpisode", bound=EpisodeRecord)
+
+
+@dataclass(frozen=True)
+class Kind(Generic[AnyBench, AnyEpisode]):
+    """How one kind of task is tried, episode by episode. All are functions of a module: worker processes need them."""
+
+    log: str
+    """The file of finished episodes; a report tells by it what a folder holds."""
+    episode: type[AnyEpisode]
+    open_bench: Callable[[EvaluateOptions], AnyBench]
+    """A cell and the policy in it; called once in each process."""
+    run: Callable[[AnyBench, int, EvaluateOptions], AnyEpisode]
+    """One episode, by its number."""
+    measure: Callable[[Sequence[AnyEpisode], EvaluateOptions], dict[str, Any]]
+    """What many episodes say together; `success` first."""
+    note: Callable[[AnyEpisode], str]
+    """How one ended, beside the progress bar."""
+    conditions: Callable[[EvaluateOptions, Console], dict[str, Any]] | None = None
+    """What else an evaluation differs by than task, policy, cell and seed; warns of what may surprise."""
+    prepare: Callable[[EvaluateOptions, Console], None] | None = None
+    """What has to be done once, before any process opens a bench."""
+
+
+class MovingCell(Protocol):
+    """A workcell that does what is planned."""
+
+    def carry_out(self, plan: Plan) -> Outcome:
+        """Pick and place; raises `UnsureError`, `LimitError` and `ReachError`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What a policy wanted and what became of it."""
+
+    plan: Plan | None
+    """None where it could not tell."""
+    outcome: Outcome | None
+    """None where nothing was moved, or what was picked up was put back."""
+    failure: str
+    """`no-plan`, `unsure`, `out-of-reach`, or what the outcome says; empty when nothing went wrong."""
+    message: str
+    decision_ms: float
+    """Wall clock of the plan."""
+
+    @property
+    def gave_up(self) -> bool:
+        """Whether nothing was tried: by another look at the same scene nothing changes."""
+        return self.failure in ("no-plan", "unsure")
+
+
+class Planner(Protocol):
+    """A policy, or a memory that asks one."""
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Where to pick and where to place."""
+        ...
+
+
+def take_turn(policy: Planner, cell: MovingCell, seen: Observation, goal: Goal | None = None) -> Turn:
+    """Plan from what was seen, and move."""
+    clock = time.perf_counter()
+    try:
+        plan = policy.plan(seen, goal)
+    except BaggieError as error:
+        return Turn(None, None, "no-plan", str(error), 1000 * (time.perf_counter() - clock))
+    decision_ms = 1000 * (time.perf_counter() - clock)
+    try:
+        outcome = cell.carry_out(plan)
+    except UnsureError as error:
+        return Turn(plan, None, "unsure", str(error), decision_ms)
+    except (LimitError, ReachError) as error:
+        return Turn(plan, None, "out-of-reach", str(error), decision_ms)
+    return Turn(plan, outcome, outcome.failure or "", "", decision_ms)
+
 
 FILM_FPS = 10
 PLAY_FPS = 20

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from baggie import seeds
-from baggie.calibration.image_to_robot.raise_card import raise_card
-from baggie.collect.places import random_place
+from baggie.calibration.image_to_robot.rectify import raise_card
+from baggie.collect.machine import random_place
 from baggie.errors import BaggieError
-from baggie.evaluation.bench import Bench, EvaluationCell
 from baggie.evaluation.options import GoalKind
+from baggie.evaluation.setup import Bench, EvaluationCell
 from baggie.geometry import PlanarPose
 from baggie.seeds import first_fit
 from baggie.types import Goal, Observation

@@ -10,8 +10,8 @@ from typing import Literal, get_args
 from baggie.errors import UsageError
 from baggie.policies import ColorMaskPolicy, OraclePolicy
 from baggie.ranges import Count, Number, Options, Positive, Seed, Workers
-from baggie.sim.tasks import TASKS as BLOCK_TASKS
 from baggie.sim.variety import Scenery
+from baggie.tasks import TASKS as BLOCK_TASKS
 
 TASKS = ("bag-place", *BLOCK_TASKS)
 GoalKind = Literal["virtual", "turned", "card"]

@@ -1,4 +1,9 @@
-"""What an evaluation shows: planned and true places marked in pictures, heat maps over them, short videos."""
+"""What an evaluation shows: planned and true places marked in pictures, heat maps over them, short videos.
+
+Pictures of height maps: the table from straight above, and over it a plan and its heat maps.
+
+The pictures an episode leaves: before with the plan in it, after with where the bag lies, heat maps.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +16,11 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.evaluation.setup import EvaluationCell
 from baggie.files import write_bytes
-from baggie.geometry import FloatArray
-from baggie.types import Image
+from baggie.geometry import FloatArray, PlanarPose
+from baggie.types import Goal, Image, Observation, Plan
+from baggie.vision.draw import paint_goal
 
 PLANNED = (255, 64, 160)
 """Magenta, for what a policy wants: neither bags (red), goals (green) nor tables are so."""
@@ -188,3 +195,91 @@ def _scaled(point: FloatArray, factor: float) -> FloatArray:
 def _fixed(points: FloatArray) -> NDArray[np.int32]:
     """Coordinates in sixteenths of a pixel, as OpenCV draws them with `shift=4`."""
     return np.round(np.clip(points, -1e4, 1e4) * 16).astype(np.int32)
+
+
+_WHITE_M = 0.15
+"""What is as high as a pyramid of three rows is white."""
+
+
+def shaded(height: NDArray[np.float32]) -> Image:
+    """Heights `(H, W)` metres as shades of grey, the table dark: `(H, W, 3)`."""
+    shades = 30 + 225 * np.clip(height / _WHITE_M, 0, 1)
+    return np.repeat(shades.astype(np.uint8)[..., None], 3, axis=2)
+
+
+def backdrop(seen: Observation) -> Image:
+    """What heat maps are laid over, `(H, W, 3)`: the heights, where they are known, else the picture."""
+    return seen.color if seen.height is None else shaded(seen.height)
+
+
+def save_map(path: Path, seen: Observation) -> None:
+    """The colours of a height map."""
+    save_jpeg(path, _whole(seen).cut(seen.color))
+
+
+def save_step(path: Path, seen: Observation, plan: Plan) -> None:
+    """The plan as an arrow from pick to place over the colours, and beside it its heat maps over the heights.
+
+    `seen` is orthographic. A plan without heat maps is shown alone.
+    """
+    assert seen.grid is not None
+    whole = _whole(seen)
+    start, end = seen.grid.to_pixels([plan.action.pick.xy, plan.action.place.xy])
+    shown = [arrow(whole.cut(seen.color), whole.to_shown(start), whole.to_shown(end))]
+    if plan.views:
+        shown.append(heat_over(backdrop(seen), whole, plan.views))
+    save_jpeg(path, np.hstack(shown))
+
+
+def _whole(seen: Observation) -> Region:
+    return Region(0, 0, *seen.size)
+
+
+@dataclass(frozen=True)
+class EpisodeScene:
+    """Where the bag should end, was when the last plan was made, and did end, in the cell it was in."""
+
+    cell: EvaluationCell
+    goal: PlanarPose
+    bag: PlanarPose
+    final: PlanarPose
+
+    def pixel(self, pose: PlanarPose) -> FloatArray:
+        """`(2,)`: where the middle of a bag there appears."""
+        return np.asarray(self.cell.goal_corners(pose).mean(axis=0))
+
+    def region(self, size: tuple[int, int]) -> Region:
+        """The part of the picture in which bags can lie."""
+        area = self.cell.settings.workspace
+        corners = [PlanarPose(x, y) for x in (area.x_min, area.x_max) for y in (area.y_min, area.y_max)]
+        return Region.around(np.vstack([self.cell.goal_corners(corner) for corner in corners]), size)
+
+
+def save_pictures(
+    stem: Path,
+    scene: EpisodeScene,
+    *,
+    before: tuple[Observation, Goal | None, Plan | None],
+    after: Observation,
+) -> None:
+    """Write `STEM-before.jpg`, `STEM-after.jpg`, and `STEM-heat.jpg` where the plan has heat maps.
+
+    `before` is the picture the last plan was made from, the goal in it, and the plan. After, the outline is that of a
+    bag right on the goal, however the goal had been given.
+    """
+    seen, goal, plan = before
+    region = scene.region(after.size)
+    shown = seen.color if goal is None else paint_goal(seen.color, goal)
+    if plan is not None:
+        poses = zip(
+            ("pick", "place"), (plan.action.pick, plan.action.place), (scene.bag, scene.goal), strict=True
+        )
+        marks = [Mark(name, scene.pixel(ours), scene.pixel(true)) for name, ours, true in poses]
+        save_jpeg(stem.with_name(stem.name + "-before.jpg"), marked(shown, region, marks))
+        if plan.views:
+            save_jpeg(stem.with_name(stem.name + "-heat.jpg"), heat_over(seen.color, region, plan.views))
+    else:
+        save_jpeg(stem.with_name(stem.name + "-before.jpg"), region.cut(shown))
+    end = Mark("end", scene.pixel(scene.final), scene.pixel(scene.goal))
+    outlined = paint_goal(after.color, Goal(scene.cell.goal_corners(scene.goal), "outline"))
+    save_jpeg(stem.with_name(stem.name + "-after.jpg"), marked(outlined, region, [end]))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from baggie.collect.options import INSTRUCTIONS
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
-from baggie.sim.tasks import TASKS
+from baggie.tasks import TASKS
 
 _FROM_ABOVE = "transporter"
 """The policy that looks at height maps, unless it has a camera."""

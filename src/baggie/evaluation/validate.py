@@ -1,21 +1,129 @@
-"""`baggie validate`: how far a policy's pick and place are off, on attempts it never saw."""
+"""`baggie validate`: how far a policy's pick and place are off, on attempts it never saw.
+
+Which attempts a policy is measured on: never one it learned from, and it is always said which.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baggie.data import open_dataset
-from baggie.evaluation.carried_steps import with_what_was_carried
-from baggie.evaluation.heldout import held_out
-from baggie.evaluation.predictions import measure, predict
-from baggie.evaluation.results import VALIDATION, check_unmixed, provenance, write_json
-from baggie.evaluation.subjects import open_policy
-from baggie.evaluation.validation_pictures import Scene, save_pictures
-from baggie.evaluation.would_count import would_count
+import numpy as np
+from numpy.typing import NDArray
+
+from baggie.data import Dataset, open_dataset
+from baggie.data.summary import did_its_task
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation.predictions import Scene, measure, predict, save_pictures
+from baggie.evaluation.scored_plans import with_what_was_carried, would_count
+from baggie.evaluation.subjects import config_of, open_policy
+from baggie.geometry import FloatArray
 from baggie.policies import ColorMaskPolicy
 from baggie.ranges import Count, Options
+from baggie.results import VALIDATION, check_unmixed, provenance, write_json
+from baggie.types import Goal
+from baggie.vision.draw import check_goal
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Attempts to measure on."""
+
+    indices: list[int]
+    """In the dataset."""
+    which: str
+    """In words, for the results."""
+
+
+def held_out(policy: str, dataset: Dataset, last: int) -> HeldOut:
+    """The attempts of `dataset` that `policy` did not learn from.
+
+    Those its training kept for validation, when this is the recording it was trained on, or may be: one that
+    has moved is compared by what is in it, and where that is impossible its validation attempts are taken,
+    which are safe either way. All successful attempts of any other recording. The last `last` for a policy
+    that was never trained. Raises `BaggieError` when none is left.
+    """
+    usable = demonstrations(dataset)
+    training = _training(policy)
+    if training is None:
+        chosen = HeldOut(usable[-last:], f"the last {len(usable[-last:])} that succeeded")
+    else:
+        chosen = _unseen(training, dataset, usable)
+    if not chosen.indices:
+        raise BaggieError(f"{dataset.root} has no successful attempt that is new to {policy}; collect more")
+    return chosen
+
+
+def demonstrations(dataset: Dataset) -> list[int]:
+    """Indices of the attempts that succeeded, of episodes that did their task; reads no picture.
+
+    Where the task marks goals, only those whose goal lies in the picture before.
+    """
+    numbers = dataset.numbers()
+    usable = numbers["success"] & _of_whole_episodes(dataset.episodes, numbers["reward"])
+    if not np.isfinite(numbers["box_after"]).any():
+        return [int(index) for index in np.flatnonzero(usable)]
+
+    def in_picture(index: int) -> bool:
+        try:
+            check_goal(Goal(numbers["box_after"][index]), dataset.settings.picture_size)
+        except BaggieError:
+            return False
+        return True
+
+    return [int(index) for index in np.flatnonzero(usable) if in_picture(int(index))]
+
+
+def _of_whole_episodes(episodes: NDArray[np.int64], rewards: FloatArray) -> NDArray[np.bool_]:
+    """`(N,)`; what stands alone (episode -1) is whole."""
+    done = {int(each): did_its_task(rewards[episodes == each]) for each in np.unique(episodes) if each >= 0}
+    return np.array([done.get(int(each), True) for each in episodes], bool)
+
+
+def _training(policy: str) -> Mapping[str, Any] | None:
+    """What a run's config.yaml says of its training; None for a policy without one."""
+    found = config_of(policy).get("training")
+    return found if isinstance(found, Mapping) and "split" in found else None
+
+
+def _unseen(training: Mapping[str, Any], dataset: Dataset, usable: Sequence[int]) -> HeldOut:
+    ids = dataset.attempt_ids
+    learned, kept = set(training["split"]["train"]), set(training["split"]["val"])
+    same = _same_recording(training, dataset)
+    if same is False:
+        return HeldOut(list(usable), "all that succeeded of another recording than it learned from")
+    known = "" if same else f" (its recording {training['data']} is not there to compare with)"
+    if kept:
+        return HeldOut(
+            [i for i in usable if ids[i] in kept], f"those its training kept for validation{known}"
+        )
+    rest = [i for i in usable if ids[i] not in learned]
+    return HeldOut(rest, f"all that succeeded and its training did not use{known}")
+
+
+def _same_recording(training: Mapping[str, Any], dataset: Dataset) -> bool | None:
+    """Whether the training attempts are those of `dataset`; None when the recording trained on is gone."""
+    try:
+        original = open_dataset(training["data"])
+    except DataError:
+        return None
+    if original.root.resolve() == dataset.root.resolve():
+        return True
+    learned = training["split"]["train"]
+    ours, theirs = (_executed(recording, learned) for recording in (dataset, original))
+    return ours is not None and theirs is not None and bool(np.array_equal(ours, theirs, equal_nan=True))
+
+
+def _executed(dataset: Dataset, attempt_ids: Sequence[int]) -> np.ndarray | None:
+    """`(N, 6)` executed poses of these attempts; None when one of them is missing."""
+    index_of = {int(attempt_id): index for index, attempt_id in enumerate(dataset.attempt_ids)}
+    if not all(attempt_id in index_of for attempt_id in attempt_ids):
+        return None
+    executed: np.ndarray = dataset.numbers()["executed"]
+    return executed[[index_of[attempt_id] for attempt_id in attempt_ids]]
+
 
 WORST = 10
 CAMERA, HEIGHT_MAPS = "camera", "height maps"

@@ -2,26 +2,107 @@
 
 It has what `franky-sim`'s server calls on a robot. Commands become targets of the world's own position servos; physics
 runs in steps of several milliseconds, so that a world with a soft bag in it keeps up.
+
+What is commanded a thousand times a second, and how fast it changes: positions, velocities, accelerations.
+
+The simulated hand, as Franka's own controller leads it: towards a width, at a speed, with a force.
 """
 
 from __future__ import annotations
 
 import statistics
 from collections import deque
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 from franky_sim.franka_robot_state import FrankaRobotState
 
 from baggie.geometry import FloatArray
-from baggie.lab.hand import LabHand
-from baggie.lab.trail import Trail, pose_difference
-from baggie.sim.arm_world import ArmWorld
-from baggie.sim.fingers import Fingers
-from baggie.sim.kinematics import Kinematics
-from baggie.sim.scene import ARM, HOME, arm_spec
-from baggie.sim.touch import upward_touch
-from baggie.workcell.franka_link import T_FLANGE_TOOL
+from baggie.robot.franka.link import T_FLANGE_TOOL
+from baggie.robot.franka.models import HOME
+from baggie.robot.kinematics import Kinematics
+from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.scene import ARM, arm_spec
+from baggie.sim.tools import OPEN_M, Fingers
+
+Difference = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+class Trail:
+    """The last command and its derivatives by finite differences: a client's plans go on from there."""
+
+    def __init__(self, value: FloatArray, difference: Difference = np.subtract) -> None:
+        """`difference(after, before)`: what leads from one value to another."""
+        self._difference = difference
+        self.rest(value)
+
+    def rest(self, value: FloatArray) -> None:
+        """Stand still here."""
+        self.value = value
+        self.velocity = np.zeros_like(self._difference(value, value))
+        self.acceleration = self.velocity
+
+    def take(self, value: FloatArray, seconds: float) -> None:
+        """Go on to the next value, which comes `seconds` after the last."""
+        velocity = self._difference(value, self.value) / seconds
+        self.acceleration = (velocity - self.velocity) / seconds
+        self.velocity, self.value = velocity, value
+
+
+def pose_difference(after: FloatArray, before: FloatArray) -> FloatArray:
+    """`(6,)`: the shift and the small turn, both along the base frame's axes, between two poses `(4, 4)`."""
+    turn = after[:3, :3] @ before[:3, :3].T
+    skew = (turn - turn.T) / 2
+    return np.array([*(after[:3, 3] - before[:3, 3]), skew[2, 1], skew[0, 2], skew[1, 0]])
+
+
+SLIP_M = 0.02
+"""So far a finger gives way when a grasp slips."""
+SLIP_S = 0.3
+
+
+class LabHand:
+    """Moves the fingers' command a little at every step of the world."""
+
+    def __init__(self, fingers: Fingers) -> None:
+        self._fingers = fingers
+        self._slipping_s = 0.0
+        self.reset()
+
+    @property
+    def width(self) -> float:
+        """Metres between the fingers."""
+        return self._fingers.width
+
+    @property
+    def moving(self) -> bool:
+        """Whether the fingers' command is on its way."""
+        return self._opening != self._goal or self._slipping_s > 0
+
+    def reset(self) -> None:
+        """Take note that the fingers are wide open."""
+        self._opening = self._goal = OPEN_M
+        self._speed = 0.0
+
+    def aim(self, width_m: float, speed_m_s: float, force_n: float) -> None:
+        """Go for a width from now on; each finger moves at `speed_m_s` and presses with at most `force_n`."""
+        self._opening = self._fingers.width / 2
+        self._goal = min(max(width_m / 2, 0.0), OPEN_M)
+        self._speed = speed_m_s
+        self._fingers.set_force(force_n)
+
+    def slip(self) -> None:
+        """Lose what is held: the fingers give way for a moment, and close again."""
+        self._slipping_s = SLIP_S
+
+    def step(self, seconds: float) -> None:
+        """What to command for the next `seconds`."""
+        way = self._speed * seconds
+        self._opening += min(max(self._goal - self._opening, -way), way)
+        self._slipping_s -= seconds
+        self._fingers.set_opening(self._opening + (SLIP_M if self._slipping_s > 0 else 0.0))
+
 
 TICK_S = 0.001
 TICKS_PER_STEP = 8

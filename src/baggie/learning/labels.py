@@ -17,12 +17,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baggie.data.annotation import goal_of
-from baggie.data.shape import LONG, SQUARE
+from baggie.data.summary import goal_of
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
-from baggie.policies.keypoint_plan import LONG as LONG_FROM
-from baggie.policies.planar_map import PlanarMap
-from baggie.policies.view import View
+from baggie.learning.augmentation import LONG, SQUARE
+from baggie.policies.keypoint.heads import PlanarMap
+from baggie.policies.keypoint.plan import LONG as LONG_FROM
+from baggie.policies.keypoint.plan import View
 from baggie.types import Attempt
 
 EYE_M, LANDING_M = 0.002, 0.005

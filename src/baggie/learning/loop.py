@@ -1,26 +1,203 @@
-"""The training loop: one for every policy that learns."""
+"""The training loop: one for every policy that learns.
+
+What must not get in a training's way: preparing data, Ctrl-C, numbers that are nearly nothing.
+
+What the training loop needs to know of a policy: how batches are made and what is minimised.
+
+The state of a training on disk: a kill costs what was learned since the last save, and nothing else.
+"""
 
 from __future__ import annotations
 
 import copy
+import io
 import os
+import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
+import torch
 from accelerate import Accelerator
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
 
-from baggie.learning.background import deferred_interrupt, flushed_denormals, prefetched
-from baggie.learning.recipe import Batch, Recipe
-from baggie.learning.state import Every, State
+from baggie.errors import DataError
+from baggie.policies.checkpoint import write_files
 from baggie.policies.learned import LearnedPolicy
 from baggie.progress import progress_bar
+from baggie.types import Attempt
+
+T = TypeVar("T")
+
+
+def prefetched(make: Callable[[int], T], steps: range, workers: int = 1, ahead: int = 4) -> Iterator[T]:
+    """`make(step)` for each step in order, made in threads of their own up to `ahead` steps early for each."""
+    ahead *= workers
+    with ThreadPoolExecutor(workers, "prefetch") as pool:
+        coming = deque(pool.submit(make, step) for step in steps[:ahead])
+        try:
+            for step in steps:
+                if step + ahead in steps:
+                    coming.append(pool.submit(make, step + ahead))
+                yield coming.popleft().result()
+        finally:
+            for future in coming:
+                future.cancel()
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[threading.Event]:
+    """Ctrl-C sets the event instead of breaking a step in half; a second one breaks. Main thread only."""
+    asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def flushed_denormals() -> Iterator[None]:
+    """Numbers below 1e-38 count as zero: a saturated softmax is full of them, and a CPU a hundred times
+    slower.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+
+
+Batch = dict[str, Tensor]
+
+
+class Recipe(Protocol):
+    """One way to teach one kind of policy. It is made with the attempts it teaches from."""
+
+    average: ClassVar[bool]
+    """Whether the exponential moving average of the weights is what is kept, rather than the last ones."""
+    max_gradient: ClassVar[float | None]
+    """The norm gradients are clipped to."""
+
+    @property
+    def steps(self) -> int:
+        """Batches, unless told otherwise."""
+        ...
+
+    @property
+    def policy(self) -> LearnedPolicy:
+        """The policy being taught; its network is what changes."""
+        ...
+
+    def optimizer(self) -> Optimizer:
+        """Over the network's parameters."""
+        ...
+
+    def rate(self, progress: float) -> float:
+        """The learning rate relative to its highest, at `progress` in [0, 1) of the training."""
+        ...
+
+    def batch(self, rng: np.random.Generator) -> Batch:
+        """Tensors on the CPU. The same generator gives the same batch; called from a thread of its own."""
+        ...
+
+    def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """What is minimised, and its parts by name with their units, detached, for the log."""
+        ...
+
+    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
+        """What is left to do with the trained policy, given attempts it did not learn from; what its metrics say."""
+        ...
+
+
+FILE = "resume.pt"
+
+
+@dataclass
+class State:
+    """All that changes during a training. Random numbers are none of it: every batch follows from seed and
+    step.
+    """
+
+    network: nn.Module
+    optimizer: Optimizer
+    average: AveragedModel | None
+    where: str = "cpu"
+    """What computes: going on elsewhere would be another training."""
+    step: int = 0
+    seconds: float = 0.0
+    """Spent in training so far, over all runs."""
+
+    def save(self, folder: Path) -> None:
+        """Write `resume.pt`, complete or not at all. Raises `DataError`."""
+        stream = io.BytesIO()
+        content = {"step": self.step, "seconds": self.seconds, "where": self.where}
+        torch.save(content | {name: part.state_dict() for name, part in self._parts().items()}, stream)
+        write_files(folder, {FILE: stream.getvalue()})
+
+    def load(self, folder: Path) -> None:
+        """Take over what `save` wrote; without a file, nothing.
+
+        Raises `DataError` when it is damaged, or was written elsewhere than `where`.
+        """
+        path = folder / FILE
+        if not path.exists():
+            return
+        try:
+            content = torch.load(path, map_location="cpu", weights_only=True)
+            for name, part in self._parts().items():
+                part.load_state_dict(content[name])
+            self.step, self.seconds = int(content["step"]), float(content["seconds"])
+            where = str(content.get("where", self.where))  # older versions did not say
+        except Exception as error:  # a damaged pickle or zip raises nearly anything
+            raise DataError(
+                f"{path} cannot be read ({type(error).__name__}): delete {folder} and train again"
+            ) from None
+        if where != self.where:
+            raise DataError(
+                f"the training in {folder} was begun on {where}, not on {self.where}: go on there, or give another "
+                "--out"
+            )
+
+    def _parts(self) -> dict[str, nn.Module | Optimizer]:
+        parts: dict[str, nn.Module | Optimizer] = {"network": self.network, "optimizer": self.optimizer}
+        return parts if self.average is None else parts | {"average": self.average}
+
+
+class Every:
+    """True once every so many seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._last = time.monotonic()
+
+    def __call__(self) -> bool:
+        """Whether it is time again."""
+        now = time.monotonic()
+        if now - self._last < self._seconds:
+            return False
+        self._last = now
+        return True
+
 
 _LOGGED = 200
 """Points in a loss curve."""

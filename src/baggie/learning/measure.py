@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
-from baggie.data.annotation import shown_goal
+from baggie.data.summary import shown_goal
 from baggie.errors import BaggieError
-from baggie.evaluation.metrics import action_errors, references, summary, symmetry_of
 from baggie.learning.demonstrations import carried_in
+from baggie.metrics import action_errors, references, summary, symmetry_of
 from baggie.policies.base import Policy
 from baggie.types import Attempt
 

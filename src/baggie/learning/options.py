@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from baggie.errors import UsageError
-from baggie.policies.features import Backbone
-from baggie.policies.resnet import Statistics
+from baggie.policies.keypoint.network import Backbone
+from baggie.policies.regression.policy import Statistics
 from baggie.policies.transporter.config import Preset
 from baggie.ranges import Color, Count, NotNegative, Number, Options, Seed, Share
 from baggie.types import DrawnStyle

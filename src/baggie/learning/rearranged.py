@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography
-from baggie.learning.things import Things, extent
 from baggie.types import Image
+from baggie.vision.carried import Things, extent
 
 _WHOLE = 0.95
 """So much of a thing has to stay on the map."""

@@ -10,11 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam, Optimizer
 
-from baggie.data.annotation import goal_of
-from baggie.learning.recipe import Batch
+from baggie.data.summary import goal_of
+from baggie.learning.loop import Batch
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression import RegressionNet, RegressionPolicy
-from baggie.policies.resnet import Statistics, load_imagenet
+from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, Statistics, load_imagenet
 from baggie.types import Attempt, DrawnStyle
 
 

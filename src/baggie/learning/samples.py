@@ -10,14 +10,24 @@ import cv2
 import numpy as np
 import torch
 
-from baggie.data.annotation import goal_of
-from baggie.data.appearance import object_mask, random_look, without_object
-from baggie.data.augmentation import WarpRange, random_light, random_warp
-from baggie.data.shape import Shape, as_it_is, reshaped, turned, with_shape
+from baggie.data.summary import goal_of
 from baggie.geometry import FloatArray, apply_homography
+from baggie.learning.augmentation import (
+    Shape,
+    WarpRange,
+    as_it_is,
+    object_mask,
+    random_light,
+    random_look,
+    random_warp,
+    reshaped,
+    turned,
+    with_shape,
+    without_object,
+)
 from baggie.learning.labels import Labels
-from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.keypoint_plan import CELLS_TO_INPUT, LONG
+from baggie.policies.keypoint.plan import CELLS_TO_INPUT, LONG
+from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.types import Attempt, Goal, Image
 
 _RESHAPED = 0.5

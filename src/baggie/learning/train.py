@@ -16,27 +16,29 @@ from rich.console import Console
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
-from baggie.data.files import read_json
-from baggie.data.layout import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER, read_json
 from baggie.errors import DataError
-from baggie.evaluation.results import TRAINING, check_unmixed, provenance
-from baggie.learning.demonstrations import read_demonstrations
-from baggie.learning.episodes import RULE as EPISODES_RULE
-from baggie.learning.episodes import split_episodes
+from baggie.learning.demonstrations import (
+    from_camera,
+    read_demonstrations,
+    rectified,
+    rectifier_for,
+    with_seen_symmetry,
+    with_turns,
+)
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
-from baggie.learning.loop import Training
+from baggie.learning.loop import Recipe, Training
 from baggie.learning.measure import measure
 from baggie.learning.options import TrainOptions
-from baggie.learning.recipe import Recipe
-from baggie.learning.rectified import from_camera, rectified, rectifier_for, with_seen_symmetry, with_turns
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
-from baggie.learning.split import RULE, Split
+from baggie.learning.split import EPISODES_RULE, RULE, Split, split_episodes
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import checkpoint
-from baggie.policies.keypoint_plan import GoalInput
+from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy, check_device
 from baggie.policies.transporter.policy import TransporterPolicy
+from baggie.results import TRAINING, check_unmixed, provenance
 from baggie.types import Attempt
 
 METRICS = "metrics.json"

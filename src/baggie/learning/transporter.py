@@ -16,14 +16,13 @@ from torch.optim import Adam, Optimizer
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import FloatArray, rotation, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
+from baggie.learning.loop import Batch
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
-from baggie.learning.recipe import Batch
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.transporter.config import Preset, TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
-from baggie.policies.transporter.scores import Scores
-from baggie.policies.transporter.soft_targets import PlaceAngle
+from baggie.policies.transporter.scores import PlaceAngle, Scores
 from baggie.types import Attempt
 from baggie.vision.carried import with_turn
 

@@ -1,11 +1,34 @@
-"""What every policy is: the colour mask, the published regressor, ours, the oracle."""
+"""What every policy is: the colour mask, the published regressor, ours, the oracle; and how a saved one is loaded."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from baggie.types import Goal, Observation, Plan
+from baggie.errors import DataError
+from baggie.policies import checkpoint
+
+if TYPE_CHECKING:
+    from baggie.types import Goal, Observation, Plan
+
+CLASSES = {
+    "ColorMaskPolicy": "color_mask",
+    "DemonstratorPolicy": "oracle",
+    "KeypointPolicy": "keypoint.policy",
+    "LearnedPolicy": "learned",
+    "OraclePolicy": "oracle",
+    "RegressionPolicy": "regression.policy",
+    "TransporterPolicy": "transporter.policy",
+}
+"""Each is imported when it is first needed: an exported policy must run where there is no PyTorch."""
+_SAVED = {
+    "keypoint": "KeypointPolicy",
+    "regression": "RegressionPolicy",
+    "transporter": "TransporterPolicy",
+    "color-mask": "ColorMaskPolicy",
+}
 
 
 class Policy(ABC):
@@ -31,6 +54,38 @@ class Policy(ABC):
         `device` is PyTorch's name for where to compute. Raises `DataError` when there is none, or one of its files is
         missing or damaged.
         """
-        from baggie.policies import load_policy  # noqa: PLC0415 -- the kinds of policies import this file
-
         return load_policy(source, device)
+
+
+def load_policy(source: str | Path, device: str = "cpu") -> Policy:
+    """The policy saved in a folder, or under a Hub id `owner/name`: a training run's, or what `baggie export` made.
+
+    Raises `DataError` when there is none, one of its files is missing or damaged, or what would run it is not
+    installed.
+    """
+    folder = checkpoint.fetch(source)
+    name = checkpoint.read_config(folder)["policy"]
+    if name not in _SAVED:
+        raise DataError(f"{folder} holds a policy {name!r}; known are {', '.join(_SAVED)}")
+    if checkpoint.is_exported(folder):
+        exported: Policy = _module("exported").load_exported(folder, device)
+        return exported
+    try:
+        kind: type[Policy] = class_named(_SAVED[name])
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise DataError(
+            f"{folder} needs PyTorch, which is not installed here: export it where it is, with `baggie export`"
+        ) from None
+    return kind.from_pretrained(folder, device)
+
+
+def class_named(name: str) -> type[Policy]:
+    """The policy of that class name, imported. Raises `KeyError` for one that is unknown."""
+    found: type[Policy] = getattr(_module(CLASSES[name]), name)
+    return found
+
+
+def _module(name: str) -> Any:
+    return import_module(f"baggie.policies.{name}")

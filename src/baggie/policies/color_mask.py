@@ -12,10 +12,10 @@ import yaml
 from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
-from baggie.files import write_text
+from baggie.files import read_yaml, write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
+from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.text_files import read_yaml
 from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
 from baggie.vision.color_mask import find_bag
 
@@ -64,6 +64,11 @@ class ColorMaskPolicy(Policy):
         self.image_to_robot.save(folder / MAP_FILE)
         config = {"policy": self.name, "object_color": list(self.object_color)}
         write_text(folder / CONFIG_FILE, yaml.safe_dump(config, sort_keys=False, default_flow_style=None))
+
+    @classmethod
+    def from_pretrained(cls, source: str | Path, device: str = "cpu") -> ColorMaskPolicy:
+        """The policy saved in a folder or under a Hub id; nothing of it computes on a device. Raises as `load` does."""
+        return cls.load(checkpoint.fetch(source))
 
     @classmethod
     def load(cls, folder: Path) -> ColorMaskPolicy:

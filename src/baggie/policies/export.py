@@ -16,14 +16,14 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from baggie.errors import BaggieError, DataError
-from baggie.extras import install_extra
-from baggie.policies import checkpoint, load_policy, regression_plan
+from baggie.errors import BaggieError, DataError, install_extra
+from baggie.policies import checkpoint, load_policy
 from baggie.policies.exported import Graph
-from baggie.policies.keypoint import KeypointPolicy
-from baggie.policies.keypoint_plan import Reading
+from baggie.policies.keypoint.plan import Reading
+from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression import RegressionPolicy
+from baggie.policies.regression.plan import SIDE
+from baggie.policies.regression.policy import RegressionPolicy
 
 _OPSET = 17
 """onnxruntime knows it since 1.12."""
@@ -72,7 +72,7 @@ class Exportable:
             lengths = {"corners": "corners", "goal_xy": "corners"}
             return cls(policy.reader(), inputs, Reading._fields, lengths)
         if isinstance(policy, RegressionPolicy):
-            side = regression_plan.SIDE
+            side = SIDE
             return cls(policy.network.eval(), {"images": np.zeros((1, 3, side, side), np.uint8)}, ["xy"], {})
         raise BaggieError(
             f"expected a keypoint or regression policy to export, got {policy.name}; that one runs with PyTorch only: "

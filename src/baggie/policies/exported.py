@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.errors import DataError
-from baggie.extras import install_extra
-from baggie.policies import checkpoint, keypoint_plan, regression_plan
+from baggie.errors import DataError, install_extra
+from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.policies.keypoint_plan import Float32, GoalInput, Reading
-from baggie.policies.view import View
+from baggie.policies.keypoint.plan import Float32, GoalInput, Reading, View, plan
+from baggie.policies.regression import plan as regression_plan
 from baggie.types import Goal, Observation, Plan, marked
 
 
@@ -80,7 +79,7 @@ class ExportedKeypoint(ExportedPolicy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return keypoint_plan.plan(
+        return plan(
             self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
         )
 

@@ -9,11 +9,13 @@ from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import huggingface_hub
+import safetensors
+import safetensors.torch
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from baggie.errors import BaggieError, DataError
-from baggie.policies import checkpoint, weights
+from baggie.policies import checkpoint
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, Plan
 
@@ -36,6 +38,34 @@ policy = baggie.load_policy("{repo}")
 plan = policy.plan(observation, goal)
 ```
 """
+
+
+def write_tensors(folder: Path, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """Write both files, complete or not at all. Raises `DataError` when that is impossible."""
+    weights = safetensors.torch.save(
+        {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()},
+        metadata={"policy": str(config["policy"])},
+    )
+    files = {checkpoint.WEIGHTS: weights, checkpoint.CONFIG: checkpoint.config_bytes(config)}
+    checkpoint.write_files(folder, files)
+
+
+def read_tensors(folder: Path, policy: str) -> dict[str, Tensor]:
+    """The tensors of `policy.safetensors`. Raises `DataError` when missing, cut off, or of another policy."""
+    path = folder / checkpoint.WEIGHTS
+    if not path.exists():
+        raise DataError(
+            f"{path} is missing: the training has not finished; run the same `baggie train` again"
+        )
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            owner = (file.metadata() or {}).get("policy")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+    except (safetensors.SafetensorError, OSError):
+        raise DataError(f"{path} is cut off or damaged: train again, or take a copy") from None
+    if owner != policy:
+        raise DataError(f"{path} holds the weights of a {owner} policy, but {policy} was asked for")
+    return tensors
 
 
 class LearnedPolicy(Policy):
@@ -82,7 +112,7 @@ class LearnedPolicy(Policy):
 
     def save_pretrained(self, folder: Path | str) -> None:
         """Write `config.yaml` and `policy.safetensors`, complete or not at all. Raises `DataError`."""
-        weights.write(Path(folder), self.config(), self.network.state_dict())
+        write_tensors(Path(folder), self.config(), self.network.state_dict())
 
     @classmethod
     def from_pretrained(cls, source: Path | str, device: str = "cpu") -> Self:
@@ -96,7 +126,7 @@ class LearnedPolicy(Policy):
         config = checkpoint.read_config(folder)
         if config["policy"] != cls.name:
             raise DataError(f"{folder} holds a {config['policy']} policy, but {cls.name} was asked for")
-        tensors = weights.read(folder, cls.name)
+        tensors = read_tensors(folder, cls.name)
         try:
             picture_size, camera_size = checkpoint.sizes(config)
             policy = cls.build(config["model"], picture_size, int(config["cell"]))

@@ -1,5 +1,5 @@
 """The MuJoCo world."""
 
-from baggie.sim.gl import choose_backend
+from baggie.gl import choose_backend
 
 choose_backend()

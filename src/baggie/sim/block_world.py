@@ -12,14 +12,12 @@ from scipy.spatial.transform import Rotation
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml
+from baggie.sim.blocks import Block, Fixture, block_xml, fixture_xml, reshape
 from baggie.sim.cell import Cell
-from baggie.sim.depth_cameras import add_depth_cameras
-from baggie.sim.renderer import HIDDEN_GROUP
-from baggie.sim.reshape import reshape
+from baggie.sim.renderer import HIDDEN_GROUP, add_depth_cameras
 from baggie.sim.scene import TIMESTEP_S, paint_table, scene_spec
-from baggie.sim.suction import Suction, add_seals
-from baggie.vision.depth_camera import DepthCamera
+from baggie.sim.tools import Suction, add_seals
+from baggie.vision.height_map import DepthCamera
 
 Pose = PlanarPose | FloatArray
 """Flat on the table, or `T_base_body` `(4, 4)`."""

@@ -1,14 +1,127 @@
-"""A cell: one concrete workcell, with its camera, lens, lights and table. `--cell C` draws one."""
+"""A cell: one concrete workcell, with its camera, lens, lights and table. `--cell C` draws one.
+
+Colours by hue, so that things can be told apart by it.
+
+Procedural textures: a table top with grain, cloth woven or printed.
+
+Draws the light over a table: lamps, ambient light, exposure and colour cast.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import colorsys
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, invert_transform
-from baggie.sim.lens import Lens
+from baggie.seeds import first_fit
+from baggie.sim.bag import BagParameters, Fabric
+from baggie.sim.sensor import Exposure, Lens
+from baggie.types import Image
+
+Color = tuple[int, int, int]
+"""RGB, 0 to 255."""
+Hues = tuple[tuple[float, float], ...]
+"""Bands of hues, degrees; one that spans 0 ends above 360."""
+ALL_HUES: Hues = ((0.0, 360.0),)
+GOAL_CARD_HUE, PADDLE_HUE = 133.0, 307.0
+"""Degrees: of the goal card and of the calibration paddle."""
+APART = 60.0
+"""Degrees between the hues of two things that are to be told apart by them."""
+RESERVED_APART = 35.0
+"""The same from a hue that is reserved."""
+
+
+def hue_of(color: Color) -> float:
+    """Degrees."""
+    return 360.0 * colorsys.rgb_to_hsv(*(value / 255 for value in color))[0]
+
+
+def rgb(hue: float, saturation: float, value: float) -> Color:
+    """The colour with this hue (degrees), saturation and value (0 to 1)."""
+    red, green, blue = colorsys.hsv_to_rgb(hue / 360.0 % 1.0, saturation, value)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def hue_distance(a: float, b: float) -> float:
+    """Degrees between two hues, at most 180."""
+    return abs((a - b + 180.0) % 360.0 - 180.0)
+
+
+def random_hue(
+    rng: np.random.Generator,
+    bands: Hues,
+    unlike: float | None = None,
+    reserved: tuple[float, ...] = (GOAL_CARD_HUE, PADDLE_HUE),
+) -> float:
+    """A hue from one of the bands, 60 degrees from `unlike` and 35 from the reserved ones.
+
+    Raises `BaggieError` where the bands leave none.
+    """
+
+    def somewhere() -> float:
+        low, high = bands[rng.integers(len(bands))]
+        return float(rng.uniform(low, high)) % 360.0
+
+    def apart(hue: float) -> bool:
+        unlike_that = unlike is None or hue_distance(hue, unlike) >= APART
+        return unlike_that and all(hue_distance(hue, other) >= RESERVED_APART for other in reserved)
+
+    hue = first_fit(somewhere, apart)
+    if hue is None:
+        raise BaggieError(
+            f"expected bands with a hue {APART:.0f} degrees from {unlike} and {RESERVED_APART:.0f} from each of "
+            f"{reserved}, got {bands}; widen them"
+        )
+    return hue
+
+
+def table_top(rng: np.random.Generator, color: tuple[int, int, int], grain: float, size: int = 512) -> Image:
+    """A wooden or laminated surface, `(size, size, 3)`: streaks along one side, blotches, a few marks."""
+    streaks = cv2.GaussianBlur(rng.normal(size=(size, size)), (0, 0), sigmaX=40, sigmaY=1.2)
+    blotches = cv2.resize(rng.normal(size=(12, 12)), (size, size), interpolation=cv2.INTER_CUBIC)
+    pattern = streaks / streaks.std() + 0.5 * blotches
+    picture = np.array(color) * (1 + grain * pattern[..., None] / 2)
+    for _ in range(6):  # pencil marks and scratches
+        start, end = rng.integers(0, size, (2, 2))
+        end = start + (end - start) // 6
+        shade = [int(value) for value in np.array(color) * rng.uniform(0.6, 0.9)]
+        cv2.line(picture, start.tolist(), end.tolist(), shade, 1, cv2.LINE_AA)
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def cloth(rng: np.random.Generator, bag: BagParameters, size: int = 128) -> Image:
+    """A bag's cloth, `(size, size, 3)`, stretched over its length and width: threads or a print, a seam at the edge."""
+    v, u = np.mgrid[:size, :size]
+    threads = np.sin(u * 2 * np.pi / 8) * np.sin(v * 2 * np.pi / 8) if bag.fabric == "weave" else 0.0
+    mottle = cv2.resize(rng.normal(size=(8, 8)), (size, size), interpolation=cv2.INTER_CUBIC)
+    if bag.shape == "round":
+        edge = size / 2 - np.hypot(u - (size - 1) / 2, v - (size - 1) / 2)
+    else:
+        edge = np.minimum(np.minimum(u, v), np.minimum(size - 1 - u, size - 1 - v))
+    seam = -1.5 * np.exp(-(((edge - 8) / 2.0) ** 2))
+    printed = _print(
+        bag.fabric, u * bag.length_m / size / bag.repeat_m, v * bag.width_m / size / bag.repeat_m
+    )
+    color = np.where(printed[..., None], bag.accent, bag.color)
+    picture = color * (1 + bag.weave * (0.5 * threads + 0.3 * mottle + seam)[..., None])
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def _print(fabric: Fabric, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+    """Where on the cloth the accent's colour is; `x` and `y` in repeats of the print."""
+    if fabric == "stripes":
+        return np.asarray(y % 1 < 0.5)
+    if fabric == "checks":
+        return np.asarray((x % 1 < 0.5) ^ (y % 1 < 0.5))
+    if fabric == "dots":
+        return np.asarray(np.hypot(x % 1 - 0.5, y % 1 - 0.5) < 0.28)
+    return np.zeros(np.shape(x), bool)
+
 
 PICTURE_SIZE = (1280, 720)
 """`(width, height)` pixels, unless another camera is asked for."""
@@ -113,3 +226,57 @@ def _look_at(position: FloatArray, aim: FloatArray, roll: float) -> FloatArray:
     down = np.cross(forward, right)
     c, s = np.cos(roll), np.sin(roll)
     return np.column_stack([c * right + s * down, -s * right + c * down, forward])
+
+
+_HEADLIGHT = 0.15  # what the scene's camera light adds straight down
+_SPOT_M = 0.15  # how far from the table's middle a lamp may point
+
+
+@dataclass(frozen=True)
+class LightRange:
+    """Between what the light is drawn; lengths in metres."""
+
+    lamps: tuple[int, int]
+    height_m: tuple[float, float]
+    aside_m: tuple[float, float]
+    """How far to the left or right of the robot they hang."""
+    brightness: tuple[tuple[float, float], ...]
+    """Of all light together, 1 showing a white sheet white: one of these bands."""
+    ambient: tuple[float, float]
+    """Share of the ambient light."""
+    gain: tuple[float, float]
+    """Of the exposure."""
+    cast: tuple[float, float]
+    """By how much red is raised and blue lowered, or the other way round."""
+
+
+USUAL = LightRange((1, 2), (1.6, 2.2), (0.4, 1.2), ((0.9, 1.2),), (0.25, 0.45), (0.95, 1.05), (0.0, 0.04))
+UNSEEN = LightRange(
+    (1, 3), (1.0, 1.5), (0.3, 1.2), ((0.6, 0.8), (1.25, 1.4)), (0.1, 0.6), (0.85, 1.1), (0.07, 0.14)
+)
+
+
+def draw_light(cell: Cell, light: LightRange, rng: np.random.Generator) -> tuple[Cell, Exposure]:
+    """The cell under other lamps, and the exposure that its pictures have on the average."""
+    low, high = light.brightness[rng.integers(len(light.brightness))]
+    brightness = rng.uniform(low, high) - _HEADLIGHT
+    ambient = brightness * rng.uniform(*light.ambient)
+    count = int(rng.integers(light.lamps[0], light.lamps[1] + 1))
+    shares = rng.uniform(0.5, 1.0, count)
+    side = rng.choice([-1.0, 1.0])
+    lamps = []
+    for number, share in enumerate(shares / shares.sum()):
+        position = np.array(
+            [rng.uniform(-0.1, 1.1), side * rng.uniform(*light.aside_m), rng.uniform(*light.height_m)]
+        )
+        aim = np.array([0.5, 0.0, 0.0]) + np.append(rng.uniform(-_SPOT_M, _SPOT_M, 2), 0.0)
+        direction = (aim - position) / np.linalg.norm(aim - position)
+        # What hits the table askew is spread over more of it.
+        diffuse = (brightness - ambient) * share / -direction[2]
+        x, y, z = position.tolist()
+        to_x, to_y, to_z = direction.tolist()
+        lamps.append(Light((x, y, z), (to_x, to_y, to_z), float(diffuse), shadow=number == 0))
+        side = -side
+    cast = rng.choice([-1.0, 1.0]) * rng.uniform(*light.cast)
+    exposure = Exposure(float(rng.uniform(*light.gain)), (float(1 + cast), 1.0, float(1 - cast)))
+    return replace(cell, lights=tuple(lamps), ambient=float(ambient)), exposure

@@ -1,24 +1,24 @@
-"""Builds the MuJoCo model: the Franka arm, a table and all that lies on it, printed sheets, lamps and camera."""
+"""Builds the MuJoCo model: the Franka arm, a table and all that lies on it, printed sheets, lamps and camera.
+
+A suction cup on a stem, in the place of the arm's hand.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from importlib.resources import files
-from pathlib import Path
 from typing import Literal
 
 import mujoco
 import numpy as np
 
-from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
+from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
-from baggie.sim.block import block_xml
-from baggie.sim.cell import Cell
-from baggie.sim.cup import CUP, CUP_OFFSET_M, fit_cup
-from baggie.sim.distractors import Distractor, distractor_xml
-from baggie.sim.targets import (
+from baggie.sim.blocks import CUP_RADIUS_M
+from baggie.sim.cell import Cell, cloth, table_top
+from baggie.sim.clutter import Distractor, distractor_xml
+from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
     PLATE_TEXTURE,
@@ -27,17 +27,90 @@ from baggie.sim.targets import (
     SHEET_TEXTURE,
     add_printed,
 )
-from baggie.sim.textures import cloth, table_top
 from baggie.types import Image
 from baggie.vision.goal_card import CARD_COLOR
 
-_MUJOCO = 4  # the first with soft bodies that take dents
+CUP_OFFSET_M = 0.17
+"""From the hand's frame to the middle of the cup's rim: what is wide stays above a pyramid of three 4 cm blocks."""
+CUP = "cup"
+"""The name of its body, whose frame is at the rim's middle, z out of the cup."""
+# The cup springs back along the stem, as spring plungers do: the heavy arm cannot stop within the lip's millimetre.
+_TRAVEL_M = 0.01
+_PRELOAD_N = 4.0
+_SPRING_N_M = 400.0
+_DAMPING_NS_M = 6.0
+_LIP_FRICTION = 0.05
+_SERVO_DAMPING = 0.4  # of the file's
+_CUP_HEIGHT_M = 0.012
+_STEM_RADIUS_M = 0.005
+_HOUSING_M = (0.031, 0.05)  # radius and height; the flange's width
+_RUBBER = (0.12, 0.12, 0.13, 1.0)
+_METAL = (0.62, 0.63, 0.65, 1.0)
+_DETAILED_GROUP, _HULL_GROUP = 2, 3  # as in `fr3.xml`: what is drawn, and what touches
+
+
+def fit_cup(spec: mujoco.MjSpec) -> None:
+    """Take the hand off the arm and put a sprung cup on a stem there; the body keeps its name, `hand`, and its mass."""
+    spec.delete(spec.actuator("hand"))
+    for tendon in spec.tendons:
+        spec.delete(tendon)
+    for equality in spec.equalities:
+        spec.delete(equality)
+    for finger in ("left_finger", "right_finger"):
+        spec.delete(spec.body(finger))
+    for joint in range(1, 8):
+        # Damped near critically, not three times as much: the arm is within a millimetre when a fast motion is over.
+        spec.actuator(f"fr3_joint{joint}").biasprm[2] *= _SERVO_DAMPING
+    hand = spec.body("hand")
+    for geom in hand.geoms:
+        spec.delete(geom)
+    stem_end = CUP_OFFSET_M - _CUP_HEIGHT_M
+    radius, height = _HOUSING_M
+    _add_cylinder(hand, "housing", radius, (0.0, height), _METAL)
+    _add_cylinder(hand, "stem", _STEM_RADIUS_M, (height, stem_end), _METAL)
+    cup = hand.add_body(name=CUP, pos=[0, 0, CUP_OFFSET_M], mass=0.02, inertia=[4e-6] * 3)
+    cup.add_joint(
+        name=CUP,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, 0, 1],
+        range=[-_TRAVEL_M, 0.0],
+        limited=True,
+        stiffness=[_SPRING_N_M, 0, 0],
+        springref=_PRELOAD_N / _SPRING_N_M,
+        damping=[_DAMPING_NS_M, 0, 0],
+        solref_limit=[0.008, 1.0],
+    )
+    lip = _add_cylinder(cup, CUP, CUP_RADIUS_M, (-_CUP_HEIGHT_M, 0.0), _RUBBER)
+    # The lip gives way sideways; by rigid friction the arm would drag a block along as it sets down and lifts off.
+    lip.friction[0], lip.priority = _LIP_FRICTION, 1
+
+
+def _add_cylinder(
+    body: mujoco.MjsBody,
+    name: str,
+    radius_m: float,
+    ends_m: tuple[float, float],
+    color: tuple[float, float, float, float],
+) -> mujoco.MjsGeom:
+    """A massless cylinder along the body's z axis, once to be seen and once, the one returned, to be touched."""
+    start, end = ends_m
+    for group, touches in ((_DETAILED_GROUP, 0), (_HULL_GROUP, 1)):
+        geom = body.add_geom(
+            name=name if touches else f"{name}_seen",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=[0, 0, (start + end) / 2],
+            size=[radius_m, (end - start) / 2, 0],
+            rgba=color,
+            group=group,
+            contype=touches,
+            conaffinity=touches,
+            mass=0,
+        )
+    return geom
+
+
 TIMESTEP_S = 0.004  # 8 ms halve the time and lose a quarter of the grasps
-TOOL_OFFSET_M = (
-    0.1034  # from the hand's frame to the point between the fingertips (Franka's hand, data sheet)
-)
 TABLE_HEIGHT_M = 0.75
-HOME = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.7853])  # a raised, bent elbow; the tool points down
 FINGER_GAIN = 10_000.0  # N/m; the stock 100 N/m presses with 2 to 4 N and loses the bag
 FINGER_DAMPING = 300.0
 WRIST_DAMPING = (
@@ -51,6 +124,11 @@ T_HAND_PLATE = rigid([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.13, 0, 0])
 CARD_SIZE_M = 0.13
 _LARGEST_FILM = (1280, 720)
 """`(width, height)` pixels that there is room for, besides the camera's own pictures."""
+BLOCK = "block"
+MAX_BLOCK_HEIGHT_M = 0.20
+BLOCK_HALF_M = (0.05, 0.05, MAX_BLOCK_HEIGHT_M / 2)
+BLOCK_AWAY = (0.4, 0.0, -0.5)
+"""Under the table, within the room."""
 ARM = "arm_"  # prefix of everything that belongs to the arm
 Tool = Literal["hand", "cup"]
 
@@ -118,7 +196,7 @@ def scene_spec(cell: Cell, assets: str, things: str, tool: Tool = "hand") -> muj
 
     The arm's names have the prefix `ARM`. `assets`: the textures and materials (XML) of the things.
     """
-    _require_mujoco()
+    require_mujoco()
     xml = _WORLD.format(
         timestep=TIMESTEP_S,
         ambient=cell.ambient,
@@ -160,15 +238,6 @@ def paint_table(model: mujoco.MjModel, cell: Cell) -> np.random.Generator:
     return rng
 
 
-def _require_mujoco() -> None:
-    """Raise `BaggieError` where something else has had an older one installed."""
-    if int(mujoco.__version__.split(".")[0]) < _MUJOCO:
-        raise BaggieError(
-            f"MuJoCo {_MUJOCO} is needed, and {mujoco.__version__} is installed here, which something else may need: "
-            "give Baggie an environment of its own (python3 -m venv)"
-        )
-
-
 def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
     """The FR3 as `franky-sim` ships it, with its hand or a suction cup, with what a real one has besides.
 
@@ -176,11 +245,7 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
     can hold out in front of the tool, hidden until asked for: the calibration paddle (a coloured disk) and a printed
     plate. The tool site is between the fingertips or at the middle of the cup's rim, z out of the tool.
     """
-    _require_mujoco()
-    assets = Path(str(files("franky_sim"))) / "assets"
-    spec = mujoco.MjSpec.from_file(str(assets / "fr3.xml"))
-    spec.meshdir = str(assets / "meshes")
-    spec.delete(spec.keys[0])
+    spec = links()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     hand = spec.body("hand")
     if tool == "cup":
@@ -198,11 +263,10 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
         grip.ctrlrange = [0.0, 0.04]
         grip.inheritrange = 0.0
     hand.add_site(name="wrist", pos=[0, 0, 0])
-    if tool == "hand":
-        offset = TOOL_OFFSET_M
-        hand.add_site(name="tool", pos=[0, 0, offset])
-    else:
+    offset = TOOL_OFFSET_M
+    if tool == "cup":
         offset = CUP_OFFSET_M
+        spec.delete(spec.site("tool"))
         spec.body(CUP).add_site(name="tool")
     hand.add_geom(
         name="paddle",
@@ -224,6 +288,16 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
         objname="wrist",
     )
     return spec
+
+
+def block_xml() -> str:
+    """The body, away for now. It stands as deep in the table as it is too high."""
+    x, y, z = BLOCK_AWAY
+    size = " ".join(f"{half:g}" for half in BLOCK_HALF_M)
+    return f"""
+    <body name="{BLOCK}" mocap="true" pos="{x:g} {y:g} {z:g}">
+      <geom name="{BLOCK}" type="box" size="{size}" rgba="0.78 0.76 0.72 0" friction="1"/>
+    </body>"""
 
 
 def _add_camera(scene: mujoco.MjSpec, cell: Cell) -> None:

@@ -1,4 +1,9 @@
-"""The running simulation of the arm and the bag, with what is printed and laid on the table."""
+"""The running simulation of the arm and the bag, with what is printed and laid on the table.
+
+The table's top, which can be knocked.
+
+A firm block that can be laid on the table, for an arm to feel.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +11,14 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
-from baggie.sim.arm_world import ArmWorld
-from baggie.sim.bag import BAG, SECOND_BAG, BagParameters
-from baggie.sim.block import Block
+from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.bag import BAG, SECOND_BAG, BagParameters, SoftBody
 from baggie.sim.cell import Cell
-from baggie.sim.distractors import Distractor
-from baggie.sim.scene import (
-    ARM,
-    T_HAND_PLATE,
-    TIMESTEP_S,
-    build_model,
-    paint,
-)
-from baggie.sim.soft_body import SoftBody
-from baggie.sim.table import bump_table
-from baggie.sim.targets import (
+from baggie.sim.clutter import Distractor
+from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
     PLATE_TEXTURE,
@@ -32,7 +28,71 @@ from baggie.sim.targets import (
     T_sheet_target,
     texture,
 )
+from baggie.sim.scene import (
+    ARM,
+    BLOCK,
+    BLOCK_AWAY,
+    BLOCK_HALF_M,
+    T_HAND_PLATE,
+    TIMESTEP_S,
+    build_model,
+    paint,
+)
 from baggie.vision.targets import Target
+
+
+def bump_table(
+    model: mujoco.MjModel, data: mujoco.MjData, motion: PlanarPose, bags: Sequence[SoftBody]
+) -> None:
+    """Move the top for good, and with it the bags, the card and the sheet: what was at `pose` is at `motion @ pose`.
+
+    The world's `update_fixed` has to follow.
+    """
+    turn = Rotation.from_euler("z", motion.yaw)
+    quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
+    top = model.geom("table_top")
+    for position, orientation in (
+        (top.pos, top.quat),
+        *zip(data.mocap_pos, data.mocap_quat, strict=True),
+    ):
+        position[:] = turn.apply(position) + shift
+        mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
+    for bag in bags:
+        bag.carry_along(turn, shift)
+
+
+class Block:
+    """The block of a running simulation."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        self._body = model.body(BLOCK).id
+        self._mocap = int(model.body(BLOCK).mocapid[0])
+        self.pose: PlanarPose | None = None
+        """Where it lies; None while it is away."""
+        self.height_m = 0.0
+        """Of its top above the table; 0 while it is away."""
+
+    def lay(self, pose: PlanarPose, height_m: float) -> None:
+        """Its middle at this place, its top at this height; its sides stay along x and y."""
+        self.pose, self.height_m = pose, height_m
+        self._put((pose.x, pose.y, height_m - BLOCK_HALF_M[2]))
+
+    def take_away(self) -> None:
+        """Off the table."""
+        self.pose, self.height_m = None, 0.0
+        self._put(BLOCK_AWAY)
+
+    def _put(self, at: tuple[float, float, float]) -> None:
+        self._data.mocap_pos[self._mocap] = at
+        self._model.geom(BLOCK).rgba[3] = 1.0 if self.pose else 0.0
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def pressed_n(self) -> float:
+        """Newtons with which something presses on it now."""
+        return 0.0 - upward_touch(self._model, self._data, [self._body])
+
 
 SETTLE_S = 1.0
 COARSE_TIMESTEP_S = 0.008  # three times as fast, and good where nothing but the table touches the bag

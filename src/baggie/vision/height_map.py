@@ -3,22 +3,155 @@
 Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020, on spatially
 consistent visual representations: in such a picture an object looks the same wherever it lies, and moving it is moving
 its pixels.
+
+Which pixel of a height map a small hole takes after.
+
+A hole is small where a closing of what was seen covers it; large unseen areas keep their outline. Most holes lie
+between the points of one surface that are further apart than pixels, and the nearest seen pixel is right. Others are
+shadows: floor beside a box, which the box hides from every camera. The nearest pixel may then be the box's, and taking
+it would make the box wider. But a box there would hide what is behind it: where a camera sees past the point that a
+hole would get, the point is not there (space carving: Kutulakos & Seitz, "A Theory of Shape by Space Carving", 2000),
+and the lowest pixel near by is taken instead, for what is hidden lies behind what hides it.
+
+A colour camera with depth that knows where it stands, and the three of the Ravens benchmark.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, is_rigid
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid, invert_transform, is_rigid, rigid, transform_points
 from baggie.types import Image, Intrinsics, Observation
-from baggie.vision.holes import fill_sources, sees_past
+
+_WIDEST_PX = 6
+"""Holes up to this wide are filled; wherever in one a pixel is, what lies across is no further away."""
+_CLOSING = np.ones((_WIDEST_PX + 1,) * 2, np.uint8)
+_ACROSS = np.ones((2 * _WIDEST_PX + 1,) * 2, np.uint8)
+_PAST_M = 0.01
+"""How much further than a point a camera must see, to see past it: well above the noise of depth cameras."""
+_SAME_RAY = 1e-3
+"""Slopes this near are one: about a pixel."""
+
+TooHigh = Callable[[FloatArray, NDArray[np.float32]], NDArray[np.bool_]]
+"""Pixels `(N, 2)` (u, v) and heights that they would get `(N,)`, metres -> where there is nothing that high `(N,)`."""
+
+
+def fill_sources(
+    height: NDArray[np.float32], seen: NDArray[np.bool_], too_high: TooHigh
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The pixels to fill and the seen one that each takes after: `(N,)` and `(N,)` indices into the flat height map.
+
+    `height` `(rows, columns)` metres, at least 0, and `seen` `(rows, columns)`.
+    """
+    covered = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_CLOSE, _CLOSING) > 0
+    holes = np.flatnonzero(covered & ~seen)
+    if not holes.size:
+        return holes, holes
+    sources = _nearest(seen)[holes]
+    v, u = np.divmod(holes, seen.shape[1])
+    wrong = too_high(np.c_[u, v].astype(float), height.flat[sources])
+    sources[wrong] = _lowest(height, seen)[holes[wrong]]
+    return holes, sources
+
+
+def sees_past(observation: Observation, pose: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """Whether a camera at `T_base_camera` `(4, 4)` sees something well behind each of the points `(N, 3)`: `(N,)`.
+
+    It sees past no point where its depth is unknown, nor past what is out of its picture.
+    """
+    assert observation.depth is not None
+    assert observation.intrinsics is not None
+    lens = observation.intrinsics
+    past = np.zeros(len(points), np.bool_)
+    local = transform_points(invert_transform(pose), points)
+    ahead = np.flatnonzero(local[:, 2] > 0)
+    if not ahead.size:
+        return past
+    exact = lens.project(local[ahead])
+    pixels = np.rint(exact)
+    inside = ((pixels >= 0) & (pixels < [lens.width, lens.height])).all(axis=1)
+    ahead, exact, (u, v) = ahead[inside], exact[inside], pixels[inside].astype(np.intp).T
+    depth = observation.depth[v, u]
+    further = np.isfinite(depth) & (depth > local[ahead, 2] + _PAST_M)
+    # The polynomial of a bent lens may fold what is far outside the picture back into it.
+    there = np.abs(lens.rays(exact) - local[ahead, :2] / local[ahead, 2:]).max(axis=1) < _SAME_RAY
+    past[ahead] = further & there
+    return past
+
+
+def _nearest(seen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The flat index of the seen pixel nearest to each: `(rows * columns,)`."""
+    _, labels = cv2.distanceTransformWithLabels(
+        (~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    index_of = np.zeros(labels.max() + 1, np.intp)
+    index_of[labels[seen]] = np.flatnonzero(seen)
+    return np.asarray(index_of[labels.ravel()], np.intp)
+
+
+def _lowest(height: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The flat index of the lowest seen pixel within the widest hole of each: `(rows * columns,)`."""
+    order = np.argsort(np.where(seen, height, np.inf), axis=None, kind="stable")
+    rank = np.empty(seen.size)
+    rank[order] = np.arange(seen.size)
+    least = cv2.erode(rank.reshape(seen.shape), _ACROSS)
+    return np.asarray(order[least.ravel().astype(np.intp)], np.intp)
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """What its pictures are made of and where it looks from. Depth belongs to colour, pixel by pixel."""
+
+    name: str
+    intrinsics: Intrinsics
+    T_base_camera: FloatArray
+    """`(4, 4)`; the camera's frame is OpenCV's: z along the optical axis, x right and y down in the picture."""
+
+
+_WIDTH, _HEIGHT, _FOCAL_LENGTH = 640, 480, 450.0
+_MIDDLE_U, _MIDDLE_V = (_WIDTH - 1) / 2, (_HEIGHT - 1) / 2
+
+_INTRINSICS = Intrinsics(
+    _WIDTH,
+    _HEIGHT,
+    np.array([[_FOCAL_LENGTH, 0, _MIDDLE_U], [0, _FOCAL_LENGTH, _MIDDLE_V], [0, 0, 1]]),
+    np.zeros(0),
+)
+
+
+def _ravens_camera(name: str, position: ArrayLike, euler_deg: ArrayLike) -> DepthCamera:
+    turn = Rotation.from_euler("xyz", euler_deg, degrees=True).as_matrix()
+    return DepthCamera(name, _INTRINSICS, rigid(turn, position))
+
+
+RAVENS_DEPTH_CAMERAS = (
+    _ravens_camera("front", (1.0, 0.0, 0.75), (45, 180, -90)),
+    _ravens_camera("left", (0.0, 0.5, 0.75), (40, 180, 45)),
+    _ravens_camera("right", (0.0, -0.5, 0.75), (40, 180, 135)),
+)
+"""Those of the Ravens benchmark (Zeng et al., "Transporter Networks", CoRL 2020), in the order of its pictures.
+
+Measured on an episode of `stack-block-pyramid`, with 27 views of blocks that lie free and still:
+
+- The angles are PyBullet's: turns about the fixed x, then y, then z axis (`R = Rz Ry Rx`).
+- Depth is along the optical axis, not along the ray.
+- The principal point is the picture's middle, (319.5, 239.5) where pixel centres are at integers. Ravens' own code
+  takes (320, 240) with the same pixels, which shifts its clouds by 1.1 to 2.0 mm, those of each camera in another
+  direction, and lifts its table by 0.7 mm.
+
+So read, the table lies at 0.00 mm in all three (median; single depths scatter by 0.5 mm), and boxes fitted to the
+points of each camera alone lie within 0.04 mm sideways and 0.08 mm in height of where `info` has the blocks. The first
+picture of an episode shows blocks that still fall the last millimetre.
+"""
+
 
 _BELOW_M = 0.01
 """Points this far below the grid still count, at height 0: they are the table's own, which noise, an imperfect pose or
@@ -52,7 +185,7 @@ def fuse(
     centre looks; depth that is 0 or no finite number is unknown. A pixel of the map takes the highest of the points
     that fall into it, whichever camera it is from, and that very point's colour (among equally high points, that
     nearest to its middle); the order of the cameras makes no difference. Small holes take the height and colour of a
-    pixel near by (`holes.py` says which); large ones stay empty.
+    pixel near by (which is said above); large ones stay empty.
 
     Raises `BaggieError` where depth or intrinsics are missing or of another size than the picture, poses are not rigid,
     or there are not as many as observations. `grid` is that of Ravens unless given.

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
-from baggie.vision.edges import refine_bent_sides
-from baggie.vision.saddle import MAX_MOVE_PX, refine_saddles
-from baggie.vision.sag import FLAT, Sag
+from baggie.vision.corners import FLAT, MAX_MOVE_PX, Sag, refine_saddles
+from baggie.vision.goal_card import refine_bent_sides
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""

@@ -1,4 +1,7 @@
-"""The simulated workcell with blocks: a suction cup, three cameras with depth, and a task."""
+"""The simulated workcell with blocks: a suction cup, three cameras with depth, and a task.
+
+One simulated camera with depth, as a workcell has it.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,43 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from baggie.cameras.camera import HeightMapCamera
 from baggie.errors import CameraError
 from baggie.geometry import Rectangle
+from baggie.robot.limits import Limits
+from baggie.sim.arm import BLOCK_HANDLING, SuctionArm
 from baggie.sim.block_world import BlockWorld
 from baggie.sim.cell import draw_cell
-from baggie.sim.depth_cameras import DepthRenderer
-from baggie.sim.tasks import Task, find_task
-from baggie.sim.tasks.layout import REACH
-from baggie.sim.tasks.oracle import next_action
-from baggie.sim.tasks.scoring import RavensScore, strict_success
-from baggie.sim.tasks.varied import varied_action
+from baggie.sim.renderer import DepthRenderer
+from baggie.tasks import Task, find_task
+from baggie.tasks.demonstrator import next_action, varied_action
+from baggie.tasks.layout import REACH
+from baggie.tasks.scoring import RavensScore, strict_success
 from baggie.types import Intrinsics, Observation, PickPlace
-from baggie.vision.depth_camera import RAVENS_DEPTH_CAMERAS
-from baggie.workcell.height_map_camera import HeightMapCamera
-from baggie.workcell.limits import Limits
-from baggie.workcell.mujoco_workcell import MujocoWorkcell
-from baggie.workcell.simulated_depth_camera import SimulatedDepthCamera
-from baggie.workcell.suction_arm import BLOCK_HANDLING, SuctionArm
+from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS, DepthCamera
+from baggie.workcell.simulated import MujocoWorkcell
 from baggie.workcell.workcell import WorkcellSettings
+
+
+class SimulatedDepthCamera:
+    """A camera of a world; several share one renderer, whose owner closes it."""
+
+    def __init__(self, camera: DepthCamera, renderer: DepthRenderer) -> None:
+        self.name = f"simulated {camera.name} camera"
+        self.size = camera.intrinsics.width, camera.intrinsics.height
+        self.intrinsics: Intrinsics | None = camera.intrinsics
+        self._camera = camera
+        self._renderer = renderer
+        self._rng = np.random.default_rng()
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw noise from this stream from now on."""
+        self._rng = rng
+
+    def look(self) -> Observation:
+        """Colour and depth of the world as it is now."""
+        return self._renderer.look(self._camera, self._rng)
+
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
@@ -70,7 +92,7 @@ class BlockWorkcell(MujocoWorkcell):
     def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
         """What a demonstrator who knows where everything is does next; None when all is done, strictly.
 
-        With a stream in the style of others, whose whims are drawn from it (`baggie.sim.tasks.varied`).
+        With a stream in the style of others, whose whims are drawn from it (`baggie.tasks.demonstrator`).
         """
         if rng is None:
             return next_action(self.scene.stages, self.world.poses())
@@ -123,7 +145,7 @@ def _wider(area: Rectangle) -> Rectangle:
 
 
 def open_block_workcell(task: str, cell: int = 0, pictures: bool = True) -> BlockWorkcell:
-    """The simulated workcell with this cell number and the task of this name, one of `baggie.sim.tasks.TASKS`.
+    """The simulated workcell with this cell number and the task of this name, one of `baggie.tasks.TASKS`.
 
     Raises `BaggieError` where there is no such task.
     """

@@ -8,8 +8,8 @@ from typing import NoReturn
 
 from baggie.errors import BaggieError, CameraError, ReachError
 from baggie.geometry import ToolPose
+from baggie.robot.arm import ArmInfo
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace
-from baggie.workcell.arm import ArmInfo
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
 

@@ -1,8 +1,14 @@
-"""The simulated workcell: arm, camera and table in MuJoCo, behind the same protocols as real ones."""
+"""The simulated workcell: arm, camera and table in MuJoCo, behind the same protocols as real ones.
+
+What every workcell in MuJoCo has: the world's clock, and a film of it.
+
+The simulated overhead camera, as a workcell has it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +16,73 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.robot.handling_rules import SIMULATED_HANDLING
+from baggie.sim.arm import SimulatedArm
+from baggie.sim.arm_world import ArmWorld
 from baggie.sim.bag import BagParameters
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
-from baggie.sim.layout import lay_bags
-from baggie.sim.variety import Scenery, Variety, draw_variety
+from baggie.sim.renderer import CameraRenderer, Film
+from baggie.sim.sensor import Exposure
+from baggie.sim.variety import Scenery, Variety, draw_variety, lay_bags
 from baggie.sim.world import World
+from baggie.types import Image, Intrinsics, Observation
 from baggie.vision.targets import Target
-from baggie.workcell.handling_rules import SIMULATED_HANDLING
-from baggie.workcell.mujoco_workcell import MujocoWorkcell
-from baggie.workcell.simulated_arm import SimulatedArm
-from baggie.workcell.simulated_camera import SimulatedCamera
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+
+class MujocoWorkcell(Workcell):
+    """A workcell whose table and arm are a running simulation."""
+
+    world: ArmWorld
+    repeatable = True
+
+    def clock(self) -> float:
+        """Seconds of simulated time since the last reset."""
+        return self.world.time
+
+    @contextmanager
+    def film(self, size: tuple[int, int] = (640, 480), fps: float = 20.0) -> Iterator[list[Image]]:
+        """Collect frames `(H, W, 3)` of the arm at work, seen from beside the table, while the block runs."""
+        film = Film(self.world, size, fps)
+        self.world.watchers.append(film.watch)
+        try:
+            yield film.frames
+        finally:
+            self.world.watchers.remove(film.watch)
+            film.close()
+
+
+class SimulatedCamera:
+    """The overhead colour and depth camera, with exposure and light that drift."""
+
+    def __init__(self, world: ArmWorld, usual: Exposure) -> None:
+        """`usual`: what exposures drift about."""
+        self.name = f"simulated camera of cell {world.cell.number}"
+        self.size = world.cell.lens.size
+        self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
+        self._renderer = CameraRenderer(world)
+        self._usual = usual
+        self._rng = np.random.default_rng()
+
+    def enter(self, world: ArmWorld, usual: Exposure) -> None:
+        """Look into another world from now on, with exposures that drift about `usual`."""
+        self._renderer.close()
+        self._renderer = CameraRenderer(world)
+        self._usual = usual
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw exposures and noise from this stream from now on."""
+        self._rng = rng
+
+    def look(self) -> Observation:
+        """A picture of the world as it is now."""
+        exposure = self._usual.times(Exposure.random(self._rng))
+        return replace(self._renderer.look(exposure, self._rng), intrinsics=self.intrinsics)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""

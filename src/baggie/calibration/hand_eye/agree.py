@@ -1,4 +1,7 @@
-"""Which views of a hand-eye recording agree with each other, and what is wrong where too few do."""
+"""Which views of a hand-eye recording agree with each other, and what is wrong where too few do.
+
+What the lens's own uncertainty does to a hand-eye calibration: the same error in every view, which no view shows.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,20 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from baggie.calibration.hand_eye.closed_forms import MIN_VIEWS, closed_form
-from baggie.calibration.hand_eye.refine import Pair, mean_board, refine, view_errors
+from baggie.calibration.hand_eye.refine import (
+    MIN_VIEWS,
+    Pair,
+    closed_form,
+    mean_board,
+    refine,
+    reproject,
+    view_errors,
+)
 from baggie.calibration.hand_eye.views import HandEyeViews, Mount
-from baggie.calibration.pose import both_planar_poses
+from baggie.calibration.pose import UncertainTransform, both_planar_poses
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, invert_transform
+from baggie.types import Intrinsics
 
 _MOST = 0.65
 """This part of the views must agree."""
@@ -227,3 +238,32 @@ def _apart(a: FloatArray, b: FloatArray) -> float:
 def _why(error: FloatArray) -> str:
     turn, shift = np.degrees(np.linalg.norm(error[:3])), np.linalg.norm(error[3:]) * 1000
     return f"{shift:.1f} mm and {turn:.1f} degrees from where the other views have the board; take it again"
+
+
+def lens_share(views: HandEyeViews, pair: Pair) -> FloatArray:
+    """`(6, 6)`: the part of the covariance of `T_mount_camera` that is the lens's; zero where that is not known.
+
+    Each parameter is moved by its standard deviation and the transforms are fitted again.
+    """
+    lens, covariance = views.intrinsics, views.intrinsics_covariance
+    if lens is None or covariance is None or views.seen is None:
+        return np.zeros((6, 6))
+    start = reproject(pair, views.T_stand_mount, views.seen, lens).pair
+    still = UncertainTransform(start[0], np.zeros((6, 6)))
+    stds = np.sqrt(np.diag(covariance))
+    moves = np.zeros((6, len(stds)))
+    for k in np.flatnonzero(stds):
+        fitted = reproject(start, views.T_stand_mount, views.seen, _moved(lens, int(k), stds[k])).pair
+        moves[:, k] = still.error_of(fitted[0]) / stds[k]
+    return np.asarray(moves @ covariance @ moves.T)
+
+
+def _moved(lens: Intrinsics, parameter: int, by: float) -> Intrinsics:
+    """With one of fx, fy, cx, cy and then the distortion moved."""
+    matrix, distortion = lens.matrix.copy(), lens.distortion.copy()
+    distortion.resize(max(5, distortion.size))  # zeros, where `np.resize` would begin again
+    if parameter < 4:
+        matrix[[(0, 0), (1, 1), (0, 2), (1, 2)][parameter]] += by
+    else:
+        distortion[parameter - 4] += by
+    return replace(lens, matrix=matrix, distortion=distortion)

@@ -1,23 +1,97 @@
-"""Hand-eye calibration from poses by robust least squares, with the noise of rotation and translation estimated.
+"""Hand-eye calibration, one method at a time: closed forms, and least squares on poses or on pictures.
+
+From poses: robust least squares, with the noise of rotation and translation estimated.
 
 Unknown are `T_mount_camera` and `T_stand_board` together (Dornaika & Horaud, "Simultaneous robot-world and hand-eye
 calibration", 1998). A view's error is how far its own `T_stand_board` is from the common one: a rotation and a
 translation of the board's origin. Their scales are not known beforehand and decide how they weigh against each other;
 both come from the errors themselves (median), in turns with the fit. Views far off get the weight a Student t
 distribution gives them (Lange, Little & Taylor, "Robust statistical modeling using the t distribution", 1989).
+
+OpenCV's closed forms for hand-eye calibration, under one signature.
+
+The mount carries the camera, the stand carries the board, so that for every view
+
+    T_stand_mount @ T_mount_camera @ T_camera_board = T_stand_board
+
+with the same two unknown transforms. For a camera on the hand the mount is the hand and the stand the base; for a
+fixed camera the mount is the base and the stand the hand.
+
+Hand-eye calibration from pictures: the board's corners as they must appear, against where they were seen.
+
+Only `T_mount_camera` and `T_stand_board` are unknown (Tabb & Ahmad Yousef, "Solving the robot-world hand-eye(s)
+calibration problem with iterative methods", 2017; Koide & Menegatti, "General hand-eye calibration based on
+reprojection error minimization", 2019), and corners far off count less (soft L1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from baggie.geometry import FloatArray, rigid
+from baggie.errors import CalibrationError
+from baggie.geometry import FloatArray, invert_transform, rigid
+from baggie.types import Intrinsics
+from baggie.vision.targets import Seen
+
+MIN_VIEWS = 3
+"""Two motions; fewer leave the translation along the one axis open."""
+
+_HAND_EYE = {
+    "tsai": cv2.CALIB_HAND_EYE_TSAI,
+    "park": cv2.CALIB_HAND_EYE_PARK,
+    "horaud": cv2.CALIB_HAND_EYE_HORAUD,
+    "andreff": cv2.CALIB_HAND_EYE_ANDREFF,
+    "daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS,
+}
+_ROBOT_WORLD = {
+    "shah": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
+    "li": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI,
+}
+
+CLOSED_FORMS = (*_HAND_EYE, *_ROBOT_WORLD)
+"""Tsai & Lenz 1989, Park & Martin 1994, Horaud & Dornaika 1995, Andreff et al. 1999, Daniilidis 1999; with the board's
+pose as a second unknown Shah 2013 and Li et al. 2010."""
+
+
+def closed_form(method: str, stand_mount: FloatArray, camera_board: FloatArray) -> FloatArray:
+    """`T_mount_camera` `(4, 4)` from `T_stand_mount` and `T_camera_board`, both `(N, 4, 4)` in metres.
+
+    Some of these mix rotation and translation in one system, which makes them depend on the unit of length.
+    Raises `CalibrationError` where the method finds no rigid transform.
+    """
+    try:
+        if method in _HAND_EYE:
+            turn, shift = cv2.calibrateHandEye(
+                *_parts(stand_mount), *_parts(camera_board), method=_HAND_EYE[method]
+            )
+            found = rigid(turn, shift)
+        else:
+            mount_stand = np.array([invert_transform(pose) for pose in stand_mount])
+            _, _, turn, shift = cv2.calibrateRobotWorldHandEye(
+                *_parts(camera_board), *_parts(mount_stand), method=_ROBOT_WORLD[method]
+            )
+            found = invert_transform(rigid(turn, shift))
+    except cv2.error as error:
+        raise CalibrationError(f"{method} finds no solution for {len(stand_mount)} views") from error
+    if not np.isfinite(found).all() or np.linalg.det(found[:3, :3]) <= 0:
+        raise CalibrationError(f"{method} finds no rigid transform for {len(stand_mount)} views")
+    found[:3, :3] = Rotation.from_matrix(
+        found[:3, :3]
+    ).as_matrix()  # Andreff's and Li's are rotations only nearly
+    return found
+
+
+def _parts(poses: FloatArray) -> tuple[Sequence[FloatArray], Sequence[FloatArray]]:
+    return list(poses[:, :3, :3]), list(poses[:, :3, 3])
+
 
 Noise = Literal["alike", "depth apart"]
 """Translation equally noisy along all axes, or with a scale of its own along the optical axis."""
@@ -154,3 +228,79 @@ def _solve(
 
     solution = least_squares(residuals, np.zeros(size), jac=jacobian, method="lm", x_scale="jac", ftol=1e-6)
     return solution.x, np.linalg.pinv(solution.jac.T @ solution.jac, hermitian=True)
+
+
+_FLOOR_PX = 0.01
+"""Corners are not found better than this, whatever a perfect rendering says."""
+_NEAREST_M = 1e-3
+"""Corners at or behind the lens, in a bad start, are taken as this far in front of it."""
+
+
+@dataclass(frozen=True)
+class Reprojected:
+    """A fit to corners."""
+
+    pair: Pair
+    covariance: FloatArray
+    """`(12, 12)`: rotation (radians) and translation (metres) of both; the corners' errors taken as independent."""
+
+
+def reproject(
+    start: Pair, stand_mount: FloatArray, seen: Sequence[Seen], intrinsics: Intrinsics
+) -> Reprojected:
+    """The best transforms near the given ones, for poses `(N, 4, 4)`, metres, and the board as seen from each."""
+    view = np.repeat(np.arange(len(seen)), [len(board.pixels) for board in seen])
+    points = np.concatenate([board.points for board in seen])
+    pixels = np.concatenate([board.pixels for board in seen])
+    turns, shifts = stand_mount[view, :3, :3], stand_mount[view, :3, 3]
+
+    def in_mount(z: FloatArray) -> FloatArray:
+        in_stand = points @ z[:3, :3].T + z[:3, 3]
+        return np.asarray(np.einsum("nji,nj->ni", turns, in_stand - shifts), float)
+
+    def projected(x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        in_camera = (in_mount(z) - x[:3, 3]) @ x[:3, :3]
+        in_camera[:, 2] = np.maximum(in_camera[:, 2], _NEAREST_M)
+        still = np.zeros(3)
+        uv, by_all = cv2.projectPoints(in_camera, still, still, intrinsics.matrix, intrinsics.distortion)
+        errors, by_point = uv.reshape(-1, 2) - pixels, by_all[:, 3:6].reshape(-1, 2, 3)
+        return np.asarray(errors, float), np.asarray(by_point, float)
+
+    def at(step: FloatArray) -> Pair:
+        return moved(pair[0], step[:6]), moved(pair[1], step[6:])
+
+    def residuals(step: FloatArray) -> FloatArray:
+        return projected(*at(step))[0].ravel()
+
+    def jacobian(step: FloatArray) -> FloatArray:
+        x, z = at(step)
+        by_point = projected(x, z)[1] @ x[:3, :3].T
+        by_stand_point = by_point @ turns.transpose(0, 2, 1)
+        parts = [
+            by_point @ cross_matrices(in_mount(z) - x[:3, 3]),
+            -by_point,
+            -by_stand_point @ cross_matrices(points @ z[:3, :3].T),
+            by_stand_point,
+        ]
+        return np.concatenate(parts, axis=2).reshape(-1, 12)
+
+    # The second round starts near the solution: there the Jacobian, of errors about no rotation, is exact, and the
+    # median says how large a usual error is.
+    pair, step = start, np.zeros(12)
+    for _ in range(2):
+        pair = at(step)
+        usual = max(1.4826 * float(np.median(np.abs(residuals(np.zeros(12))))), _FLOOR_PX)
+        solution = least_squares(
+            residuals,
+            np.zeros(12),
+            jac=jacobian,
+            loss="soft_l1",
+            f_scale=2 * usual,
+            x_scale="jac",
+            xtol=1e-10,
+            ftol=1e-10,
+        )
+        step = solution.x
+    # The solution's Jacobian has the weights of the loss in it.
+    inverse = np.linalg.pinv(solution.jac.T @ solution.jac, hermitian=True)
+    return Reprojected(at(step), usual**2 * inverse)

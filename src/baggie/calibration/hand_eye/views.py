@@ -15,9 +15,9 @@ from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.pose import fit_pose
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, invert_transform
+from baggie.pictures import read_picture
 from baggie.types import Image, Intrinsics
-from baggie.vision.picture_files import read_picture
-from baggie.vision.sag import FLAT, Sag
+from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import Seen, Target, parse_target, with_sag
 
 Mount = Literal["hand", "fixed"]

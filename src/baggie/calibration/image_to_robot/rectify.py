@@ -2,6 +2,8 @@
 
 Every pixel of a grid over the table looks up where the camera sees that place, on the one plane the map is right for.
 What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera.
+
+A card lies on the table; the outline of an object that rests on it is seen higher up, and so somewhere else.
 """
 
 from __future__ import annotations
@@ -17,8 +19,7 @@ from numpy.typing import NDArray
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.projection import project, to_plane
-from baggie.geometry import FloatArray
-from baggie.grid import Grid
+from baggie.geometry import FloatArray, Grid
 from baggie.types import Goal, Image, Intrinsics, Observation
 
 Float32 = NDArray[np.float32]
@@ -135,3 +136,14 @@ class Rectifier:
         v, u = (np.mgrid[: rows * times, : columns * times] + 0.5) / times - 0.5
         seen = self.from_grid(np.c_[u.ravel(), v.ravel()])
         return np.ascontiguousarray(seen.T, np.float32).reshape(2, *u.shape)
+
+
+def raise_card(corners: FloatArray, image_to_robot: ImageToRobot, height_m: float) -> FloatArray:
+    """Where the corners of a card on the table, `(N, 2)` pixels (u, v), would be seen `height_m` above it.
+
+    Pixel -> robot on the table -> pixel at `height_m`: without the camera's place the two differ by up to
+    `height_m * distance from under the camera / camera's height`, some millimetres. The pixels are of the map's own
+    picture size (`ImageToRobot.for_size`). Raises `CalibrationError` where the map knows one height only.
+    """
+    on_table = image_to_robot.at_height(0.0).to_robot(corners)
+    return image_to_robot.at_height(height_m).to_pixels(on_table)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from baggie.errors import CalibrationError, DataError
+from baggie.files import parse_yaml, read_text
 from baggie.geometry import FloatArray
-from baggie.text_files import parse_yaml, read_text
 from baggie.types import Intrinsics
 
 _MODELS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "brown_conrady_k6", "none"})

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
-from baggie.calibration.transform_yaml import pose_from_yaml, uncertainty_to_yaml
-from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, uncertainty_to_yaml
 from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.calibration.world.robot_to_world import RobotToWorld
 from baggie.geometry import difference

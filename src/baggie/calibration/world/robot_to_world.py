@@ -18,8 +18,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from baggie.calibration.files import broken, read_calibration, write_calibration
-from baggie.calibration.transform_yaml import pose_from_yaml, uncertainty_to_yaml
-from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, uncertainty_to_yaml
 from baggie.calibration.world.touches import (
     agreeing,
     axes_covariance,

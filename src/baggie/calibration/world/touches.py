@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
-from baggie.calibration.uncertain import UncertainTransform
+from baggie.calibration.pose import UncertainTransform
 from baggie.geometry import FloatArray, rigid
 
 _ROUNDING_M = 1e-9

@@ -1,4 +1,10 @@
-"""Transporter Networks, whichever preset: one look at the maps, then looks for the pick, then looks for the place."""
+"""Transporter Networks, whichever preset: one look at the maps, then looks for the pick, then looks for the place.
+
+The published networks: a residual network to one logit a pixel for the pick, and two to correlate for the place.
+
+Source: A. Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020,
+section 3; widths, normalisation and the order of steps (crop, turn, then look) as in the code published with it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +12,150 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from baggie.policies.transporter.config import TransporterConfig
-from baggie.policies.transporter.paper import Attention, PaperMaps, Transport
-from baggie.policies.transporter.pick import PickAngle, PickMap
-from baggie.policies.transporter.place import CoarsePlace, FinePlace
-from baggie.policies.transporter.scores import Scores
-from baggie.policies.transporter.soft_targets import PlaceAngle
-from baggie.policies.transporter.trunk import Scene, Trunk
+from baggie.policies.transporter.fast import CoarsePlace, FinePlace, PickAngle, PickMap, Scene, Trunk
+from baggie.policies.transporter.scores import PlaceAngle, Scores, turn_angles
+from baggie.policies.transporter.spatial import correlate, rotated_crops
+
+_COLOR_MEAN, _COLOR_STD = 0.18877631, 0.07276466
+_HEIGHT_MEAN_M, _HEIGHT_STD_M = 0.00509261, 0.00903967
+CROP = 64
+"""Pixels."""
+CHANNELS = 3
+"""That are correlated."""
+_STRIDE = 8
+_DOWN = ((64, 1), (128, 2), (256, 2), (512, 2), (256, 1))
+"""Width and stride of the stages before the first enlargement."""
+_UP = (128, 64)
+
+
+class PaperMaps(nn.Module):
+    """Colour and height, the height three times, normalised as published."""
+
+    def forward(self, color: Tensor, height: Tensor) -> Scene:
+        """`(B, 3, H, W)` uint8 and `(B, H, W)` metres -> maps `(B, 6, H, W)`; there are no features to share."""
+        colors = (color.float() / 255 - _COLOR_MEAN) / _COLOR_STD
+        heights = ((height - _HEIGHT_MEAN_M) / _HEIGHT_STD_M).unsqueeze(1).expand(-1, 3, -1, -1)
+        return Scene(torch.cat([colors, heights], dim=1), colors.new_zeros(len(colors), 0, 1, 1))
+
+
+class Block(nn.Module):
+    """1 x 1, 3 x 3, 1 x 1 beside a shortcut, which is a convolution of its own where the shape changes."""
+
+    def __init__(
+        self, inputs: int, width: int, outputs: int, stride: int, *, first: bool, last: bool
+    ) -> None:
+        """`first` of its stage: the shortcut is a convolution; `last` stage: no ReLU after the sum."""
+        super().__init__()
+        self.conv1 = _convolution(inputs, width, 1, stride)
+        self.conv2 = _convolution(width, width, 3)
+        self.conv3 = _convolution(width, outputs, 1)
+        self.shortcut = _convolution(inputs, outputs, 1, stride) if first else nn.Identity()
+        self.last = last
+
+    def forward(self, x: Tensor) -> Tensor:
+        """`(B, inputs, h, w)` -> `(B, outputs, h / stride, w / stride)`."""
+        inner = self.conv3(F.relu(self.conv2(F.relu(self.conv1(x)))))
+        total: Tensor = inner + self.shortcut(x)
+        return total if self.last else F.relu(total)
+
+
+class ResidualFCN(nn.Module):
+    """The network all three are: 43 layers deep in the paper's count, stride 8, bilinear enlargements."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.stem = _convolution(inputs, 64, 3)
+        stages, width = [], 64
+        for wide, stride in _DOWN:
+            stages.append(_stage(width, wide, wide, stride))
+            width = wide
+        self.down = nn.Sequential(*stages)
+        ups = []
+        for wide in _UP:
+            ups += [_Enlarge(), _stage(width, wide, wide, 1)]
+            width = wide
+        self.up = nn.Sequential(*ups, _Enlarge(), _stage(width, 16, outputs, 1, last=True))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """`(B, inputs, H, W)` of any size -> `(B, outputs, H, W)`."""
+        rows, columns = maps.shape[-2:]
+        padded = F.pad(maps, (0, -columns % _STRIDE, 0, -rows % _STRIDE))
+        x: Tensor = self.up(self.down(F.relu(self.stem(padded))))
+        return x[..., :rows, :columns]
+
+
+class Attention(nn.Module):
+    """Where to pick. With a gripper the map is turned so that every yaw in turn is 0, and the logits turned back."""
+
+    def __init__(self, config: TransporterConfig, inputs: int = 6) -> None:
+        super().__init__()
+        self.fold = config.pick_fold if config.pick_yaw else 1
+        bins = config.bins(self.fold) if config.pick_yaw else 1
+        self.register_buffer("angles", turn_angles(bins, self.fold), persistent=False)
+        self.angles: Tensor
+        self.network = ResidualFCN(inputs, 1)
+
+    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
+        """Over the whole map, whatever it is about."""
+        maps = scene.maps
+        logits = self.network(maps) if len(self.angles) == 1 else self._at_every_yaw(maps)
+        return Scores(logits, torch.zeros_like(about.place), 1, self.fold)
+
+    def _at_every_yaw(self, maps: Tensor) -> Tensor:
+        batch, _, rows, columns = maps.shape
+        middle = maps.new_tensor([columns // 2, rows // 2]).expand(batch, 2)
+        side = -(-int((rows**2 + columns**2) ** 0.5 + 2) // _STRIDE) * _STRIDE
+        back = maps.new_full((batch, 2), side // 2)
+        top, left = side // 2 - rows // 2, side // 2 - columns // 2
+        turned = []
+        for angle in self.angles:
+            upright = rotated_crops(maps, middle, -angle[None], side)[:, 0]
+            logits = rotated_crops(self.network(upright), back, angle[None], side)[:, 0]
+            turned.append(logits[..., top : top + rows, left : left + columns])
+        return torch.cat(turned, dim=1)
+
+
+class Transport(nn.Module):
+    """Where to place what is in the crop about the pick, turned by how much."""
+
+    def __init__(self, config: TransporterConfig, inputs: int = 6) -> None:
+        super().__init__()
+        self.fold = config.symmetry
+        self.register_buffer("angles", turn_angles(config.bins(self.fold), self.fold), persistent=False)
+        self.angles: Tensor
+        self.query, self.key = ResidualFCN(inputs, CHANNELS), ResidualFCN(inputs, CHANNELS)
+
+    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+        """Over the whole map, whatever it is about."""
+        around = CROP // 2
+        padded = F.pad(scene.maps, (around,) * 4)
+        crops = rotated_crops(padded, pick.place + around, self.angles, CROP)
+        kernels = self.query(crops.flatten(0, 1)).unflatten(0, crops.shape[:2])
+        logits = correlate(self.key(padded), kernels)[..., around:-around, around:-around]
+        return Scores(logits, torch.zeros_like(about.place), 1, self.fold)
+
+
+class _Enlarge(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
+
+
+def _stage(inputs: int, width: int, outputs: int, stride: int, *, last: bool = False) -> nn.Sequential:
+    return nn.Sequential(
+        Block(inputs, width, outputs, stride, first=True, last=last),
+        Block(outputs, width, outputs, 1, first=False, last=last),
+    )
+
+
+def _convolution(inputs: int, outputs: int, size: int, stride: int = 1) -> nn.Conv2d:
+    layer = nn.Conv2d(inputs, outputs, size, stride=stride, padding=size // 2)
+    nn.init.xavier_uniform_(layer.weight)  # as published
+    assert layer.bias is not None
+    nn.init.zeros_(layer.bias)
+    return layer
 
 
 class Decision(NamedTuple):

@@ -1,0 +1,1 @@
+"""Cameras: what one must offer, and those there are."""

@@ -1,0 +1,1 @@
+"""The `baggie` command."""

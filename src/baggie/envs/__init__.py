@@ -1,1 +1,0 @@
-"""Gymnasium environments: one step is one whole pick and place."""

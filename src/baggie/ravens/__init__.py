@@ -1,0 +1,1 @@
+"""The Ravens benchmark: its recordings read and written, its agents."""

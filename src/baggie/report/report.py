@@ -1,0 +1,198 @@
+"""`baggie report`: one page, complete in itself, that shows how good a policy is and how it was measured.
+
+What a report is made of, read back from folders.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import tyro
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from baggie.errors import BaggieError, DataError
+from baggie.evaluation.bag_place import BAGS
+from baggie.evaluation.block_episode import BLOCKS
+from baggie.evaluation.episode import EpisodeRecord
+from baggie.evaluation.log import read_log
+from baggie.files import only_ours, read_yaml, write_text
+from baggie.report.items import BASELINES, BlockEvaluation, Evaluation, Results, Series, Training, Validation
+from baggie.report.sections import content
+
+_EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
+"""What TensorBoard's writer calls its files: time, machine, process and count."""
+Found = TypeVar("Found", Training, Validation, Evaluation, BlockEvaluation)
+
+
+Logged = TypeVar("Logged", bound=EpisodeRecord)
+
+
+def gather(folders: Sequence[Path]) -> Results:
+    """Read the results in these folders and below them.
+
+    Raises `BaggieError` when a folder is missing or holds none, or when two runs go by one name; `DataError` when a
+    file of theirs is broken.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise BaggieError(
+                f"expected a folder of results, {folder} is none; run train, validate or evaluate first"
+            )
+    trainings = _read(folders, "config.yaml", _training)
+    validations = _read(folders, "predictions.json", _validation)
+    evaluations = _read(folders, BAGS.log, _evaluation)
+    blocks = _read(folders, BLOCKS.log, _block_evaluation)
+    _check_told_apart(trainings)
+    _check_told_apart(validations)
+    runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations, blocks).items()}
+    if not runs:
+        names = ", ".join(map(str, folders))
+        raise BaggieError(
+            f"found nothing to report in {names}; expected folders that train, validate or evaluate wrote"
+        )
+    several = {policy for policy, count in Counter(policy for policy, _ in runs).items() if count > 1}
+
+    def named(items: Sequence[Found]) -> list[Found]:
+        return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
+
+    def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
+        """Each under its conditions: a policy is as many rows as there are tests it was put to. Its first workcell, a
+        simulated one where there is one, goes without saying.
+        """
+        items = [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
+        items = sorted(items, key=lambda i: i.workcell is not None)
+        first = {i.policy: i.place for i in reversed(items)}
+        return [
+            replace(i, policy=f"{i.policy}, {i.place}") if i.place != first[i.policy] else i for i in items
+        ]
+
+    bags = named(evaluations)
+    tests = Counter(item.policy for item in [*bags, *named(blocks)])
+
+    def by_task(items: Sequence[BlockEvaluation]) -> list[BlockEvaluation]:
+        return [replace(i, policy=f"{i.policy}, {i.task}") if tests[i.policy] > 1 else i for i in items]
+
+    return Results(named(trainings), named(validations), told_apart(bags), by_task(named(blocks)))
+
+
+def _check_told_apart(items: Sequence[Training | Validation]) -> None:
+    """What was trained and what was tested are put together by policy and run: each may be there once."""
+    seen: dict[tuple[str, str], Path] = {}
+    for item in items:
+        other = seen.setdefault((item.policy, item.run), item.folder)
+        if other != item.folder:
+            raise BaggieError(
+                f"expected every run of {item.policy} to have a name of its own, {other} and {item.folder} are both of "
+                f"a run called {item.run}; report one of them, or rename its folder before it is tested"
+            )
+
+
+def _read(folders: Sequence[Path], marker: str, read: Callable[[Path], Found | None]) -> list[Found]:
+    places = sorted({path.parent for folder in folders for path in folder.resolve().rglob(marker)})
+    found = []
+    for place in places:
+        try:
+            item = read(place)
+        except (OSError, DataError, ValueError, KeyError, TypeError) as error:
+            raise DataError(f"cannot read the results in {place}: {error!r}; make them again") from error
+        if item is not None:
+            found.append(item)
+    return sorted(found, key=lambda item: (item.policy in BASELINES, item.policy, item.run))
+
+
+def _training(folder: Path) -> Training | None:
+    if (metrics := _finished(folder)) is None:  # or somebody else's config.yaml
+        return None
+    config = read_yaml(folder / "config.yaml")
+    return Training(folder, str(config["policy"]), folder.name, metrics, config, _scalars(folder))
+
+
+def _scalars(folder: Path) -> dict[str, Series]:
+    """What a training logged, by tag. One that went on logs again what came after its last save: that counts."""
+    points: dict[str, dict[int, float]] = {}
+    events = folder.glob("*tfevents*")
+    for path in sorted(only_ours(folder, events, lambda path: bool(_EVENTS.fullmatch(path.name)))):
+        logged = EventAccumulator(str(path), size_guidance={"scalars": 0}).Reload()
+        for tag in logged.Tags()["scalars"]:
+            later = {point.step: point.value for point in logged.Scalars(tag)}
+            earlier = points.get(tag, {})
+            points[tag] = {step: earlier[step] for step in earlier if step < min(later)} | later
+    return {
+        tag: (np.array(list(values), float), np.array(list(values.values()), float))
+        for tag, values in points.items()
+    }
+
+
+def _validation(folder: Path) -> Validation:
+    content, metrics = _json(folder / "predictions.json"), _json(folder / "metrics.json")
+    return Validation(
+        folder, metrics["policy"], metrics["run"], metrics, content["predictions"], content["worst"]
+    )
+
+
+def _evaluation(folder: Path) -> Evaluation | None:
+    if (metrics := _finished(folder)) is None:
+        return None
+    episodes = _counted(read_log(folder / BAGS.log, BAGS.episode), metrics)
+    return Evaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
+
+
+def _block_evaluation(folder: Path) -> BlockEvaluation | None:
+    if (metrics := _finished(folder)) is None:
+        return None
+    episodes = _counted(read_log(folder / BLOCKS.log, BLOCKS.episode), metrics)
+    return BlockEvaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
+
+
+def _finished(folder: Path) -> dict[str, Any] | None:
+    """The metrics; None while it is still running."""
+    path = folder / "metrics.json"
+    return _json(path) if path.exists() else None
+
+
+def _counted(episodes: Sequence[Logged], metrics: Mapping[str, Any]) -> list[Logged]:
+    """Those that the metrics are of, by their number."""
+    return sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
+
+
+def _json(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Put everything that is known about some runs on one self-contained page.
+
+    Example: baggie report runs/keypoint runs/color-mask --out report.html
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders that train, validate or evaluate wrote, or folders of such."""
+    out: Path = Path("report.html")
+    """The page."""
+    title: str | None = None
+    """Its heading; by default what it is about."""
+
+
+def report(options: ReportOptions) -> Path:
+    """Write the page and return its path.
+
+    Raises `BaggieError` when the folders hold no results, `DataError` when results are broken.
+    """
+    loader = PackageLoader("baggie.report", ".")
+    page = Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(
+        "report.html.j2"
+    )
+    variables = content(gather(options.runs))
+    if options.title is not None:
+        variables["title"] = options.title
+    write_text(options.out, page.render(variables))
+    return options.out

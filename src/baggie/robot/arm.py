@@ -1,0 +1,109 @@
+"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol, runtime_checkable
+
+from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
+
+CLEAR_Z_M = 0.1
+"""A height above all that lies on a table, metres."""
+
+
+@dataclass(frozen=True)
+class ArmInfo:
+    """What an arm is and can do, readable before it is connected."""
+
+    name: str
+    max_width_m: float
+    """The widest the gripper opens."""
+    max_speed_m_s: float
+    """The fastest the tool may ever move."""
+    max_force_n: float
+    """The hardest the gripper may squeeze."""
+    tool_symmetry: int = 2
+    """How often a turn the tool looks the same: 2 for two fingers; 0 for a round cup, which does at any angle."""
+
+
+@runtime_checkable
+class Arm(Protocol):
+    """An arm with a two-finger gripper whose tool points straight down.
+
+    Every motion blocks until it is done and returns the pose *really* reached. Poses are in the robot's base frame
+    (metres, radians); a yaw is taken modulo a turn, and the tool turns the shorter way where the wrist can.
+    Implementations raise `ReachError` when a pose cannot be reached and move nothing.
+    """
+
+    info: ArmInfo
+
+    def pose(self) -> ToolPose:
+        """Where the tool is now."""
+        ...
+
+    def move_to(self, target: ToolPose, speed_m_s: float) -> ToolPose:
+        """Move the tool along a straight line, smoothly, never faster than `speed_m_s`; the pose reached."""
+        ...
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        """Move straight down until something pushes the hand up with `force_n`, or the tool is at `z_min`; the pose
+        reached.
+
+        With `force_n` more than when it began, so that neither the hand's weight nor its load is felt.
+        """
+        ...
+
+    def move_gripper(self, width_m: float) -> float:
+        """Open or close to a width between the fingers, without squeezing; the width reached."""
+        ...
+
+    def grasp(self, force_n: float) -> float:
+        """Close until the fingers meet something or each other, then keep squeezing; the width, 0 if empty."""
+        ...
+
+    def gripper_width(self) -> float:
+        """Metres between the fingers now."""
+        ...
+
+    def park(self) -> ToolPose:
+        """Move out of the camera's view; the pose reached."""
+        ...
+
+    def stop(self) -> None:
+        """Stop moving, now."""
+        ...
+
+
+@runtime_checkable
+class LedArm(Protocol):
+    """An arm a person can lead by hand."""
+
+    def hand_pose(self) -> FloatArray:
+        """`T_base_hand` `(4, 4)` wherever it has been led, tilted too. The hand's frame: `geometry.hand_matrix`."""
+        ...
+
+
+def hand_pose(arm: Arm) -> FloatArray:
+    """`T_base_hand` `(4, 4)` of any arm: the tool of one that cannot be led always points straight down."""
+    return arm.hand_pose() if isinstance(arm, LedArm) else hand_matrix(arm.pose())
+
+
+@runtime_checkable
+class ForeseeingArm(Protocol):
+    """An arm that knows beforehand what it reaches."""
+
+    def foresee(self, way: Sequence[ToolPose]) -> float:
+        """Radians that the tool would turn in all, moving straight from where it is through these poses; nothing moves.
+
+        Raises `ReachError` where `move_to` would.
+        """
+        ...
+
+
+def foresee(arm: Arm, way: Sequence[ToolPose]) -> float:
+    """`ForeseeingArm.foresee` of any arm: one that does not foresee is taken to turn the shorter way everywhere."""
+    if isinstance(arm, ForeseeingArm):
+        return arm.foresee(way)
+    return sum(abs(wrap_angle(after.yaw - before.yaw)) for before, after in pairwise([arm.pose(), *way]))

@@ -1,0 +1,1 @@
+"""Franka's arms, FR3 and Panda."""

@@ -1,0 +1,1 @@
+"""Robots with LeRobot's interface."""
