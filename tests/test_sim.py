@@ -18,7 +18,7 @@ from baggie.robot.contract import check_arm
 from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics, quintic
 from baggie.sim.arm import JOINT_SPEED_LIMITS
-from baggie.sim.bag import BagParameters, pillow
+from baggie.sim.bag import Bag, pillow
 from baggie.sim.cell import draw_cell
 from baggie.sim.scene import arm_spec
 from baggie.sim.sensor import Exposure, Sensor
@@ -265,7 +265,7 @@ def test_the_sensor_is_unbiased_and_noisier_where_it_is_bright() -> None:
 
 
 def test_a_pillow_is_closed_and_has_the_volume_of_its_parameters() -> None:
-    bag = BagParameters(length_m=0.1, width_m=0.14, fill=1.2)
+    bag = Bag(length_m=0.1, width_m=0.14, fill=1.2)
     points, tetrahedra = pillow(bag)
     edges = points[tetrahedra[:, 1:]] - points[tetrahedra[:, :1]]
     volumes = np.linalg.det(edges) / 6
@@ -276,8 +276,8 @@ def test_a_pillow_is_closed_and_has_the_volume_of_its_parameters() -> None:
 
 
 def test_random_bags_are_reproducible_and_vary() -> None:
-    one, again = (BagParameters.random(np.random.default_rng(3)) for _ in range(2))
-    assert one == again != BagParameters.random(np.random.default_rng(4))
+    one, again = (Bag.random(np.random.default_rng(3)) for _ in range(2))
+    assert one == again != Bag.random(np.random.default_rng(4))
 
 
 def test_inverse_kinematics_inverts_forward_kinematics() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.sim.bag import BagParameters, bag_xml, pillow
+from baggie.sim.bag import Bag, bag_xml, pillow
 from baggie.sim.cell import cloth, draw_cell
 from baggie.sim.clutter import Distractor
 from baggie.sim.scene import build_model
@@ -44,7 +44,7 @@ def two_bags() -> Iterator[SimulatedWorkcell]:
 
 
 def test_the_default_bag_is_to_the_letter_what_it_was() -> None:
-    written = hashlib.sha256(bag_xml(BagParameters()).encode()).hexdigest()
+    written = hashlib.sha256(bag_xml(Bag()).encode()).hexdigest()
     assert written.startswith("b653cad32ba05f8a")
 
 
@@ -58,13 +58,13 @@ def test_the_default_cloth_is_to_the_byte_what_it_was() -> None:
     seam = -1.5 * np.exp(-(((edge - 8) / 2.0) ** 2))
     shade = 1 + 0.12 * (0.5 * threads + 0.3 * mottle + seam)
     expected = np.clip(np.array((196, 40, 44)) * shade[..., None], 0, 255).astype(np.uint8)
-    np.testing.assert_array_equal(cloth(np.random.default_rng(1), BagParameters()), expected)
+    np.testing.assert_array_equal(cloth(np.random.default_rng(1), Bag()), expected)
 
 
 def test_what_is_not_asked_for_is_not_in_the_model() -> None:
-    plain = build_model(draw_cell(0), BagParameters())
+    plain = build_model(draw_cell(0), Bag())
     assert plain.nflex == 1
-    everything = build_model(draw_cell(0), BagParameters(), BagParameters(), [CUP, COASTER])
+    everything = build_model(draw_cell(0), Bag(), Bag(), [CUP, COASTER])
     assert everything.nflex == 2
     assert everything.nv - plain.nv == plain.nv - 9  # the arm's seven joints and two fingers are not doubled
     assert everything.ngeom == plain.ngeom + 3  # a cup is two: what is in it has another colour
@@ -76,7 +76,7 @@ def test_what_is_not_asked_for_is_not_in_the_model() -> None:
 
 
 def test_a_round_pillow_is_closed_and_round() -> None:
-    points, tetrahedra = pillow(BagParameters(shape="round"))
+    points, tetrahedra = pillow(Bag(shape="round"))
     edges = points[tetrahedra[:, 1:]] - points[tetrahedra[:, :1]]
     assert (np.linalg.det(edges) > 0).all()
     assert set(tetrahedra.ravel()) == set(range(len(points)))
@@ -88,7 +88,7 @@ def test_a_round_pillow_is_closed_and_round() -> None:
 
 @pytest.mark.parametrize("fabric", ["stripes", "checks", "dots"])
 def test_a_print_shows_both_colours_and_repeats(fabric: str) -> None:
-    bag = BagParameters(fabric=fabric, accent=(0, 0, 250), repeat_m=0.03, weave=0.0)
+    bag = Bag(fabric=fabric, accent=(0, 0, 250), repeat_m=0.03, weave=0.0)
     picture = cloth(np.random.default_rng(0), bag)
     blue = (picture == (0, 0, 250)).all(axis=2)
     assert ((picture == bag.color).all(axis=2) | blue).all()
@@ -99,11 +99,11 @@ def test_a_print_shows_both_colours_and_repeats(fabric: str) -> None:
 @pytest.mark.parametrize(
     "bag",
     [
-        pytest.param(BagParameters(length_m=0.14, width_m=0.14, shape="round"), marks=pytest.mark.slow),
-        BagParameters(length_m=0.16, width_m=0.1, shape="long"),
+        pytest.param(Bag(length_m=0.14, width_m=0.14, shape="round"), marks=pytest.mark.slow),
+        Bag(length_m=0.16, width_m=0.1, shape="long"),
     ],
 )
-def test_a_bag_of_another_shape_is_gripped_and_lands_where_it_is_put(bag: BagParameters) -> None:
+def test_a_bag_of_another_shape_is_gripped_and_lands_where_it_is_put(bag: Bag) -> None:
     with closing(SimulatedWorkcell(0, bag=bag)) as cell:
         assert cell.settings.object_symmetry == bag.symmetry
         assert cell.world.bag_points[:, 2].max() == pytest.approx(bag.size_m[2], abs=0.004)
@@ -126,7 +126,7 @@ def test_at_yaw_0_the_fingers_close_along_y_which_is_across_a_long_bag_at_yaw_0(
     apart = data.body("arm_left_finger").xpos - data.body("arm_right_finger").xpos
     assert abs(apart[1]) > 0.05
     assert np.abs(apart[[0, 2]]).max() < 0.003
-    assert np.ptp(pillow(BagParameters(length_m=0.15, shape="long"))[0], axis=0)[:2] == pytest.approx(
+    assert np.ptp(pillow(Bag(length_m=0.15, shape="long"))[0], axis=0)[:2] == pytest.approx(
         [0.15, 0.12]
     )
 

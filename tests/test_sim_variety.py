@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.sim.bag import BagParameters, Shape
+from baggie.sim.bag import Bag, Shape
 from baggie.sim.cell import APART, GOAL_CARD_HUE, PADDLE_HUE, PICTURE_SIZE, draw_cell, hue_distance, hue_of
 from baggie.sim.variety import (
     BAGS_M,
@@ -25,7 +25,7 @@ from baggie.sim.variety import (
 )
 from baggie.workcell.workcell import WorkcellSettings
 
-CELL, BAG, WORKSPACE = draw_cell(0), BagParameters(), WorkcellSettings().workspace
+CELL, BAG, WORKSPACE = draw_cell(0), Bag(), WorkcellSettings().workspace
 seeds = st.integers(0, 10**6)
 
 
@@ -33,7 +33,7 @@ def drawn(scenery: Scenery, seed: int) -> Variety:
     return draw_variety(scenery, CELL, BAG, WORKSPACE, (9, seed))
 
 
-def size_of(bag: BagParameters) -> float:
+def size_of(bag: Bag) -> float:
     return float(np.sqrt(bag.length_m * bag.width_m))
 
 
@@ -168,10 +168,10 @@ def test_a_crowded_workspace_is_refused() -> None:
     ("shape", "length", "symmetry"), [("square", 0.12, 4), ("long", 0.15, 2), ("round", 0.12, 0)]
 )
 def test_a_bag_looks_the_same_as_often_as_its_shape_says(shape: Shape, length: float, symmetry: int) -> None:
-    assert BagParameters(length_m=length, shape=shape).symmetry == symmetry
+    assert Bag(length_m=length, shape=shape).symmetry == symmetry
 
 
 @pytest.mark.parametrize(("shape", "length"), [("long", 0.13), ("round", 0.13)])
 def test_a_shape_that_is_not_what_it_is_called_is_refused(shape: Shape, length: float) -> None:
     with pytest.raises(BaggieError, match=rf"expected a {shape} bag .* got 0\.130 x 0\.120 m"):
-        BagParameters(length_m=length, shape=shape)
+        Bag(length_m=length, shape=shape)

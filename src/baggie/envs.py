@@ -17,7 +17,6 @@ from baggie.workcell.workcell import Workcell
 
 if TYPE_CHECKING:
     from baggie.types import Image
-    from baggie.workcell.block_workcell import BlockWorkcell
     from baggie.workcell.simulated import SimulatedWorkcell
 
 ObservationDict = dict[str, Any]
@@ -131,10 +130,10 @@ class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 -- Gymnasium's own convention
 
     def __init__(self, task: str, cell: int = 0, render_mode: str | None = None) -> None:
-        from baggie.workcell.block_workcell import open_block_workcell  # noqa: PLC0415 -- MuJoCo takes its time
+        from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
 
         self.render_mode = render_mode
-        self._workcell: BlockWorkcell = open_block_workcell(task, cell)
+        self._workcell: SimulatedWorkcell = open_simulated(cell, task)
         grid = Grid()
         self.action_space = action_space(self._workcell.settings.workspace)
         self.observation_space = spaces.Dict(

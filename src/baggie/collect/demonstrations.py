@@ -63,9 +63,9 @@ OpenDemonstratorCell = Callable[[str, int], DemonstratorCell]
 
 def open_simulated_demonstrator(task: str, number: int) -> DemonstratorCell:
     """The simulated workcell with blocks; imported late, because MuJoCo takes its time."""
-    from baggie.workcell.block_workcell import open_block_workcell  # noqa: PLC0415
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
-    return open_block_workcell(task, number)
+    return open_simulated(number, task)
 
 
 def demonstrate(cell: DemonstratorCell, recording: Recording, number: int) -> list[Attempt]:

@@ -9,10 +9,7 @@ from typing import Literal, get_args
 
 from baggie.errors import UsageError
 from baggie.ranges import Count, NotNegative, Options, Seed, Workers
-from baggie.tasks import TASKS
-
-INSTRUCTIONS = {"bag-place": "put the bean bag on the goal"}
-"""The tasks the robot shows itself, and each in words."""
+from baggie.tasks import TASKS, USUAL, find_task
 
 CollectedScenery = Literal["plain", "varied"]
 """What a recording may show: what others show is kept for evaluation."""
@@ -27,7 +24,7 @@ class CollectOptions(Options):
 
     out: Path
     """Folder of the recording. The same command again goes on where it stopped."""
-    task: str = "bag-place"
+    task: str = USUAL
     """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
     which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner,
     block-insertion.
@@ -53,8 +50,8 @@ class CollectOptions(Options):
 
     def check(self) -> None:
         """Raise `UsageError` for what cannot be collected."""
-        if self.task not in INSTRUCTIONS and self.task not in TASKS:
-            raise UsageError(f"expected a task among {', '.join([*INSTRUCTIONS, *TASKS])}, got {self.task!r}")
+        if self.task not in TASKS:
+            raise UsageError(f"expected a task among {', '.join(TASKS)}, got {self.task!r}")
         for name, chosen, known in (
             ("scenery", self.scenery, get_args(CollectedScenery)),
             ("style", self.style, get_args(CollectedStyle)),
@@ -73,15 +70,16 @@ class CollectOptions(Options):
             )
 
         if not self.demonstrated and self.style != "plain":
+            shown = [name for name, task in TASKS.items() if not task.has_goal]
             raise UsageError(
                 f"expected no --style with --task {self.task}, which nobody demonstrates, got {self.style}; leave it "
-                f"out, or take a task among {', '.join(TASKS)}"
+                f"out, or take a task among {', '.join(shown)}"
             )
 
     @property
     def demonstrated(self) -> bool:
         """Whether a script shows it, in several steps."""
-        return self.task in TASKS
+        return not find_task(self.task).has_goal
 
     @property
     def watched(self) -> bool:

@@ -50,7 +50,7 @@ class SimulatedAssistant:
 
     def clear_table(self) -> None:
         """Put the bag aside."""
-        self._cell.world.put_bag(ASIDE, undented=False)
+        self._cell.lay_aside(ASIDE)
         self._cell.world.advance(0.5)
 
     def lay(self, target: Target, words: str) -> None:

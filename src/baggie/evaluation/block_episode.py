@@ -81,11 +81,11 @@ class BlockBench:
 
 def open_block_bench(options: EvaluateOptions) -> BlockBench:
     """The simulated workcell with the task, and the policy named; imported late, because MuJoCo takes its time."""
-    from baggie.workcell.block_workcell import open_block_workcell  # noqa: PLC0415
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
     oracle = options.policy == OraclePolicy.name
     policy = None if oracle else open_policy(options.policy, None, options.device)
-    cell = open_block_workcell(options.task, options.cell)
+    cell = open_simulated(options.cell, options.task)
     return BlockBench(cell, policy or DemonstratorPolicy(cell.demonstrate))
 
 

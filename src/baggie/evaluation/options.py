@@ -11,9 +11,8 @@ from baggie.errors import UsageError
 from baggie.policies import ColorMaskPolicy, OraclePolicy
 from baggie.ranges import Count, Number, Options, Positive, Seed, Workers
 from baggie.sim.variety import Scenery
-from baggie.tasks import TASKS as BLOCK_TASKS
+from baggie.tasks import TASKS, USUAL, find_task
 
-TASKS = ("bag-place", *BLOCK_TASKS)
 GoalKind = Literal["virtual", "turned", "card"]
 """How a goal is given: marked square to the workspace, marked at any angle, or by a card that really lies there."""
 _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
@@ -33,7 +32,7 @@ class EvaluateOptions(Options):
     """A training run's folder, a Hub id, `color-mask` (bags only), or `oracle`, which reads the simulator's truth."""
     out: Path
     """Where metrics.json, the log of episodes, pictures and videos go."""
-    task: str = "bag-place"
+    task: str = USUAL
     """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
     block-pyramid, place-red-in-green, align-box-corner, block-insertion.
     """
@@ -86,8 +85,8 @@ class EvaluateOptions(Options):
 
     @property
     def of_blocks(self) -> bool:
-        """Whether the task is one with blocks."""
-        return self.task in BLOCK_TASKS
+        """Whether the task itself says where things go, and not a goal in the picture."""
+        return not find_task(self.task).has_goal
 
     @property
     def processes(self) -> int:
@@ -113,7 +112,7 @@ class EvaluateOptions(Options):
             if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
                 raise UsageError(
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
-                    "take --task bag-place"
+                    f"take --task {USUAL}"
                 )
         if self.policy == ColorMaskPolicy.name:
             raise UsageError(

@@ -27,7 +27,7 @@ from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.robot.franka.models import PARK
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.bag import BagParameters
+from baggie.sim.bag import Bag
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.scene import MAX_BLOCK_HEIGHT_M
@@ -139,7 +139,8 @@ class Lab:
         """
         self.host = host
         self.settings = WorkcellSettings()
-        self.world = World(draw_cell(cell, picture_size), BagParameters())
+        self.bag = Bag()
+        self.world = World(draw_cell(cell, picture_size), (self.bag,))
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
@@ -244,7 +245,7 @@ class Lab:
         rng = seeds.generator(seeds.LAB, seed)
         self._exposure = Exposure.random(rng)
         bag, _ = lay_bags(self.settings.workspace, [], two=False, rng=rng)
-        self.world.reset(bag)
+        self.world.reset({self.bag.name: bag})
         self.world.put_joints(PARK)
         self.robot.hold()
         self.fci.hold()
@@ -262,7 +263,7 @@ class Lab:
         block = self.world.block.pose
         if block is not None and pose.distance(block) < APART_M:
             raise BaggieError("expected a bag beside the block, got one on it; take the block away first")
-        self.world.put_bag(pose, undented=undented)
+        self.world.put(self.bag.name, pose, undented=undented)
 
     def lay_block(self, pose: PlanarPose, height_m: float) -> None:
         """Lay a firm block, its middle at `pose`, for the arm to feel; a height of 0 takes it away.
@@ -277,7 +278,7 @@ class Lab:
                 f"expected a block of at most {MAX_BLOCK_HEIGHT_M:g} m within {WITHIN_M:g} m of the robot, got one of "
                 f"{height_m:g} m at {pose.x:g}, {pose.y:g}"
             )
-        if pose.distance(self.world.bag_pose()) < APART_M:
+        if pose.distance(self.bag_pose()) < APART_M:
             raise BaggieError(
                 "expected a block beside the bag, got one on it; lay the bag somewhere else first"
             )
@@ -287,6 +288,14 @@ class Lab:
                 f"expected a block below the hand, got one of {height_m:g} m with the tool at {z:.3f} m; raise the arm"
             )
         self.world.block.lay(pose, height_m)
+
+    def bag_pose(self) -> PlanarPose:
+        """The bag's true centre and yaw now."""
+        return self.world.planar_pose(self.bag.name)
+
+    def bag_lowest_m(self) -> float:
+        """Height of the bag's lowest point above the table."""
+        return self.world.bodies[self.bag.name].bottom_m()
 
     def moment(self) -> Moment:
         """The scene as it is now, for the darkroom to draw."""

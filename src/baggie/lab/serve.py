@@ -54,6 +54,6 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None]) -> None:
 
 def workcell_text(lab: Lab, server: LabServer) -> str:
     """The workcell file that opens the lab."""
-    bag = lab.world.bag
+    bag = lab.bag
     color = ", ".join(str(value) for value in bag.color)
     return _FILE.format(host=lab.host, camera=server.address + STREAM, bag=bag, color=color)

@@ -219,8 +219,8 @@ def truth(lab: Lab) -> dict[str, Any]:
     return {
         "seed": lab.seed,
         "time": lab.time,
-        "bag": asdict(lab.world.bag_pose()),
-        "bag_lowest_z": float(lab.world.bag_points[:, 2].min()),
+        "bag": asdict(lab.bag_pose()),
+        "bag_lowest_z": lab.bag_lowest_m(),
         "block": {"height": lab.world.block.height_m, "pressed_n": lab.world.block.pressed_n},
         "tool": dict(zip("xyz", lab.robot.tool_xyz, strict=True)),
         "gripper_width": lab.robot.hand.width,

@@ -18,6 +18,8 @@ from baggie.geometry import FloatArray, PlanarPose, Rectangle, ToolPose
 from baggie.robot.arm import Arm, ArmInfo, foresee, hand_pose
 
 PERIOD_S = 0.05
+WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
+"""Where objects may be picked and placed unless a file says otherwise; robot base frame, metres."""
 
 
 class BarkError(CameraError):

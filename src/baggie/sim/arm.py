@@ -14,9 +14,9 @@ from baggie.robot.franka.models import HOME, PARK
 from baggie.robot.kinematics import CONTROL_PERIOD_S, Kinematics, minimum_jerk
 from baggie.robot.primitives import Handling
 from baggie.sim.arm_world import ArmWorld
-from baggie.sim.block_world import PERIOD_S, BlockWorld
 from baggie.sim.scene import TIMESTEP_S, Tool, arm_spec
-from baggie.sim.tools import MOVE_FORCE_N, Fingers
+from baggie.sim.tools import MOVE_FORCE_N, Fingers, Suction
+from baggie.sim.world import PERIOD_S, World
 
 # FR3 joint velocity limits, rad/s (Franka's data sheet), of which motions use at most 80%.
 JOINT_SPEED_LIMITS = 0.8 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
@@ -151,7 +151,7 @@ FINGER_SETTLE_S = 0.1
 class SimulatedArm(ArmMotions):
     """The FR3 with its hand. Raises `BaggieError` for a world whose arm carries another tool."""
 
-    def __init__(self, world: ArmWorld) -> None:
+    def __init__(self, world: World) -> None:
         super().__init__(world)
         self.info = ArmInfo("simulated FR3", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0)
         self._fingers = _fingers(world)
@@ -184,14 +184,14 @@ class SimulatedArm(ArmMotions):
         """Metres between the fingers now."""
         return self._fingers.width
 
-    def enter(self, world: ArmWorld) -> None:
+    def enter(self, world: World) -> None:
         """Work in another world from now on, where the arm is at home."""
         self._fingers = _fingers(world)
         self._world = world
         self.reset()
 
 
-def _fingers(world: ArmWorld) -> Fingers:
+def _fingers(world: World) -> Fingers:
     if world.fingers is None:
         raise BaggieError("expected an arm with a two-finger hand, got one with another tool; use SuctionArm")
     return world.fingers
@@ -219,13 +219,16 @@ BLOCK_HANDLING = Handling(
 
 
 class SuctionArm(ArmMotions):
-    """The FR3 with a suction cup: to grasp is to switch it on, to move the gripper is to switch it off."""
+    """The FR3 with a suction cup: to grasp is to switch it on, to move the gripper is to switch it off.
+
+    Raises `BaggieError` for a world whose arm carries another tool.
+    """
 
     period_s = PERIOD_S  # commands in longer steps would shake the hand, and heavy blocks off it
     feel_period_s = TIMESTEP_S  # a millimetre at feeling speed
     settled_rad = 0.0015
 
-    def __init__(self, world: BlockWorld) -> None:
+    def __init__(self, world: World) -> None:
         super().__init__(world, "cup")
         self.info = ArmInfo(
             "simulated FR3, suction cup",
@@ -234,7 +237,7 @@ class SuctionArm(ArmMotions):
             max_force_n=70.0,
             tool_symmetry=0,
         )
-        self._suction = world.suction
+        self._suction = _suction(world)
 
     def _stop_at_contact(self) -> None:
         """Brake evenly while the sprung cup gives way; stopping dead would shake the arm."""
@@ -261,8 +264,14 @@ class SuctionArm(ArmMotions):
         """`SEALED_WIDTH_M` while something is held, else 0."""
         return SEALED_WIDTH_M if self._suction.sealed else 0.0
 
-    def enter(self, world: BlockWorld) -> None:
+    def enter(self, world: World) -> None:
         """Work in another world from now on, where the arm is at home."""
-        self._suction = world.suction
+        self._suction = _suction(world)
         self._world = world
         self.reset()
+
+
+def _suction(world: World) -> Suction:
+    if world.suction is None:
+        raise BaggieError("expected an arm with a suction cup, got one with another tool; use SimulatedArm")
+    return world.suction

@@ -5,33 +5,38 @@ One bag in the running simulation: where its points are, and how to lay it somew
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import FloatArray, PlanarPose, planar_pose
+from baggie.sim.things import Pose, paint
+from baggie.types import Image
 
 if TYPE_CHECKING:
     import mujoco
 
 GRID = 7  # points along each side; 7 x 7 points on 4 x 4 x 1 cells is the coarsest that still drapes
-BAG, SECOND_BAG = "bag", "second"
-"""Names of the flexes in the model."""
 LONG_ASPECT = 1.2
 """How many times longer than wide a long bag is at least."""
 FULL_HEIGHT_M = 0.03
 """How thick a bag with a fill of 1 is once it has settled."""
+DROP_HEIGHT_M = 0.02
+"""From where it settles when it is laid somewhere."""
 
 Shape = Literal["square", "round", "long"]
 Fabric = Literal["plain", "weave", "stripes", "checks", "dots"]
 
 
 @dataclass(frozen=True)
-class BagParameters:
-    """What a bag is made of. The defaults are a 200 g bean bag of 12 cm that a hand would call soft."""
+class Bag:
+    """A bean bag and what it is made of. The defaults are 200 g and 12 cm of what a hand would call soft."""
 
     length_m: float = 0.12
     """Along its own x: the long side of a long bag."""
@@ -56,6 +61,11 @@ class BagParameters:
     """RGB of what is printed on stripes, checks and dots."""
     repeat_m: float = 0.03
     """After how much cloth the print repeats."""
+    name: str = "bag"
+    """Its own among all things on a table."""
+
+    soft: ClassVar[bool] = True
+    movable: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.shape == "long" and self.length_m < LONG_ASPECT * self.width_m:
@@ -84,8 +94,39 @@ class BagParameters:
         """Thickness in the middle before it settles."""
         return 0.032 * self.fill
 
+    def assets(self) -> str:
+        """The texture and the material of its cloth, XML."""
+        return f"""
+    <texture name="{self._cloth}" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
+    <material name="{self._cloth}" texture="{self._cloth}" specular="0.05"/>"""
+
+    def xml(self) -> str:
+        """Its `flexcomp`, XML; its middle starts at the origin."""
+        points, tetrahedra = pillow(self)
+        texcoord = points[:, :2] / [self.length_m, self.width_m] + 0.5
+        return f"""
+    <flexcomp name="{self.name}" type="direct" dim="3" dof="trilinear" cellcount="4 4 1"
+        mass="{self.mass_kg}" radius="0.001" material="{self._cloth}"
+        point="{_join(points)}" element="{_join(tetrahedra)}" texcoord="{_join(texcoord)}">
+      <contact condim="3" friction="{self.friction}" solref="0.01 1" selfcollide="none"/>
+      <elasticity young="{self.young_pa}" poisson="{self.poisson}" damping="{self.damping}"
+          yield="{self.yield_strain}"/>
+    </flexcomp>"""
+
+    def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
+        """Give its cloth a picture, drawn from a stream."""
+        paint(model, self._cloth, cloth(rng, self))
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> SoftBody:
+        """Find it in a world that has been built with it."""
+        return SoftBody(model, data, self)
+
+    @property
+    def _cloth(self) -> str:
+        return f"{self.name} cloth"
+
     @classmethod
-    def random(cls, rng: np.random.Generator) -> BagParameters:
+    def random(cls, rng: np.random.Generator) -> Bag:
         """A bag of another size, stiffness, mass, fill, colour and cloth."""
         side = rng.uniform(0.105, 0.13)
         red, green, blue = rng.integers(20, 220, 3).tolist()
@@ -101,7 +142,7 @@ class BagParameters:
         )
 
 
-def pillow(bag: BagParameters) -> tuple[FloatArray, np.ndarray]:
+def pillow(bag: Bag) -> tuple[FloatArray, np.ndarray]:
     """Points `(P, 3)` metres about the bag's centre, and tetrahedra `(T, 4)`, of two sheets that meet in a seam.
 
     A round bag is the square one with its grid mapped to a disc (elliptical grid mapping, Fong 2015, arXiv:1509.06344).
@@ -153,18 +194,33 @@ def _right_handed(points: FloatArray, tetrahedron: tuple[int, ...]) -> tuple[int
     return tetrahedron if volume > 0 else (p, r, q, s)
 
 
-def bag_xml(bag: BagParameters, name: str = BAG, cloth: str = "cloth") -> str:
-    """The `flexcomp` element of this name, of the material `cloth`; the bag's centre starts at the origin."""
-    points, tetrahedra = pillow(bag)
-    texcoord = points[:, :2] / [bag.length_m, bag.width_m] + 0.5
-    return f"""
-    <flexcomp name="{name}" type="direct" dim="3" dof="trilinear" cellcount="4 4 1"
-        mass="{bag.mass_kg}" radius="0.001" material="{cloth}"
-        point="{_join(points)}" element="{_join(tetrahedra)}" texcoord="{_join(texcoord)}">
-      <contact condim="3" friction="{bag.friction}" solref="0.01 1" selfcollide="none"/>
-      <elasticity young="{bag.young_pa}" poisson="{bag.poisson}" damping="{bag.damping}"
-          yield="{bag.yield_strain}"/>
-    </flexcomp>"""
+def cloth(rng: np.random.Generator, bag: Bag, size: int = 128) -> Image:
+    """A bag's cloth, `(size, size, 3)`, stretched over its length and width: threads or a print, a seam at the edge."""
+    v, u = np.mgrid[:size, :size]
+    threads = np.sin(u * 2 * np.pi / 8) * np.sin(v * 2 * np.pi / 8) if bag.fabric == "weave" else 0.0
+    mottle = cv2.resize(rng.normal(size=(8, 8)), (size, size), interpolation=cv2.INTER_CUBIC)
+    if bag.shape == "round":
+        edge = size / 2 - np.hypot(u - (size - 1) / 2, v - (size - 1) / 2)
+    else:
+        edge = np.minimum(np.minimum(u, v), np.minimum(size - 1 - u, size - 1 - v))
+    seam = -1.5 * np.exp(-(((edge - 8) / 2.0) ** 2))
+    printed = _print(
+        bag.fabric, u * bag.length_m / size / bag.repeat_m, v * bag.width_m / size / bag.repeat_m
+    )
+    color = np.where(printed[..., None], bag.accent, bag.color)
+    picture = color * (1 + bag.weave * (0.5 * threads + 0.3 * mottle + seam)[..., None])
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def _print(fabric: Fabric, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+    """Where on the cloth the accent's colour is; `x` and `y` in repeats of the print."""
+    if fabric == "stripes":
+        return np.asarray(y % 1 < 0.5)
+    if fabric == "checks":
+        return np.asarray((x % 1 < 0.5) ^ (y % 1 < 0.5))
+    if fabric == "dots":
+        return np.asarray(np.hypot(x % 1 - 0.5, y % 1 - 0.5) < 0.28)
+    return np.zeros(np.shape(x), bool)
 
 
 def _join(values: np.ndarray) -> str:
@@ -172,16 +228,19 @@ def _join(values: np.ndarray) -> str:
 
 
 class SoftBody:
-    """The flex of a model with this name."""
+    """A bag in a running simulation: the flex of its name."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, bag: BagParameters) -> None:
+    settle_s = 1.0
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, bag: Bag) -> None:
         self._model, self._data = model, data
-        nodes = [b for b in range(model.nbody) if model.body(b).name.startswith(name)]
+        node = re.compile(re.escape(bag.name) + r"_\d+")
+        nodes = [number for number in range(model.nbody) if node.fullmatch(model.body(number).name)]
         self._joints = np.array([model.body_jntadr[b] + np.arange(3) for b in nodes])
         self._home = model.body_pos[nodes].copy()
         import mujoco  # noqa: PLC0415 -- things are plain data where nothing is simulated
 
-        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)
+        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, bag.name)
         start = int(model.flex_vertadr[flex])
         self._vertices = slice(start, start + int(model.flex_vertnum[flex]))
         self._dents = _plastic_state(model, flex)
@@ -192,7 +251,19 @@ class SoftBody:
         """`(P, 3)` metres: its surface points now."""
         return np.asarray(self._data.flexvert_xpos[self._vertices].copy())
 
-    def pose(self) -> PlanarPose:
+    def pose(self) -> FloatArray:
+        """`T_base_body` `(4, 4)`: `planar_pose` at the mean height of its points."""
+        return self.planar_pose().upright(float(self.points[:, 2].mean()))
+
+    def top_m(self) -> float:
+        """Height of its highest point above the table."""
+        return float(self._data.flexvert_xpos[self._vertices, 2].max())
+
+    def bottom_m(self) -> float:
+        """Height of its lowest point above the table."""
+        return float(self._data.flexvert_xpos[self._vertices, 2].min())
+
+    def planar_pose(self) -> PlanarPose:
         """Its true centre and yaw: the planar rigid motion that best explains where its points are (Kabsch)."""
         now = self.points[:, :2]
         center = now.mean(axis=0)
@@ -201,11 +272,16 @@ class SoftBody:
         yaw = np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
         return PlanarPose(float(center[0]), float(center[1]), float(yaw))
 
-    def put(self, pose: PlanarPose, height: float, *, undented: bool) -> None:
-        """Lay it, at rest, with its centre `height` metres above the table; its dents stay unless `undented`."""
+    def put(self, pose: Pose, *, undented: bool, height_m: float = DROP_HEIGHT_M) -> None:
+        """Lay it, at rest, without time passing; its dents stay unless `undented`.
+
+        Flat, its centre `height_m` above the table, from where it settles; or with its middle at a pose `(4, 4)`.
+        """
+        if not isinstance(pose, PlanarPose):
+            height_m, pose = float(pose[2, 3]), planar_pose(pose)
         c, s = np.cos(pose.yaw), np.sin(pose.yaw)
         turned = self._home @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        self._data.qpos[self._positions] = turned + np.array([pose.x, pose.y, height]) - self._home
+        self._data.qpos[self._positions] = turned + np.array([pose.x, pose.y, height_m]) - self._home
         self._data.qvel[self._velocities] = 0.0
         if undented:
             self._data.plastic[self._dents] = 0.0

@@ -1,17 +1,19 @@
 """Rigid things made of boxes: blocks that can be carried and stacked, fixtures that stay where they are put.
 
-Blocks and fixtures of another size or colour in a model that is built already: building one takes a second.
+They take another size and colour in a model that is built already: building one takes a second.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray
+from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
+from baggie.sim.things import Pose
 
 if TYPE_CHECKING:
     import mujoco
@@ -50,6 +52,9 @@ class Block:
     more: tuple[Part, ...] = ()
     """Further boxes that are one body with it, none inside another; all as high as it is."""
 
+    soft: ClassVar[bool] = False
+    movable: ClassVar[bool] = True
+
     @property
     def parts(self) -> tuple[Part, ...]:
         """All its boxes, itself first."""
@@ -60,6 +65,30 @@ class Block:
         """What it weighs."""
         return float(self.density * sum(np.prod(part.size_m) for part in self.parts))
 
+    def assets(self) -> str:
+        """None: it has one colour a box."""
+        return ""
+
+    def xml(self) -> str:
+        """A free body of its name, its joint's and its first geom's too."""
+        more = "".join(
+            f"""
+      <geom {_box(part.size_m, part.color)} pos="{_numbers(part.position_m)}" density="{self.density}" {_CONTACT}/>"""
+            for part in self.more
+        )
+        return f"""
+    <body name="{self.name}">
+      <freejoint name="{self.name}"/>
+      <geom name="{self.name}" {_box(self.size_m, self.color)} density="{self.density}" {_CONTACT}/>{more}
+    </body>"""
+
+    def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
+        """Nothing: it has no texture."""
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
+        """Find it in a world that has been built with it."""
+        return RigidBody(model, data, self)
+
 
 @dataclass(frozen=True)
 class Fixture:
@@ -67,6 +96,31 @@ class Fixture:
 
     name: str
     parts: tuple[Part, ...]
+
+    soft: ClassVar[bool] = False
+    movable: ClassVar[bool] = False
+
+    def assets(self) -> str:
+        """None: it has one colour a box."""
+        return ""
+
+    def xml(self) -> str:
+        """A body of its name that moves only when it is put somewhere, at first under the table."""
+        geoms = "".join(
+            f"""
+      <geom {_box(part.size_m, part.color)} pos="{_numbers(part.position_m)}" {_CONTACT}/>"""
+            for part in self.parts
+        )
+        return f"""
+    <body name="{self.name}" mocap="true" pos="0.4 0 -0.4">{geoms}
+    </body>"""
+
+    def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
+        """Nothing: it has no texture."""
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
+        """Find it in a world that has been built with it."""
+        return RigidBody(model, data, self)
 
 
 def stand(
@@ -99,32 +153,6 @@ def reach_m(thing: Block | Fixture) -> float:
     return float(np.linalg.norm(np.abs(extent_m(thing)).max(axis=0)))
 
 
-def block_xml(block: Block) -> str:
-    """A free body of this name, its joint's and its first geom's too."""
-    more = "".join(
-        f"""
-      <geom {_box(part.size_m, part.color)} pos="{_numbers(part.position_m)}" density="{block.density}" {_CONTACT}/>"""
-        for part in block.more
-    )
-    return f"""
-    <body name="{block.name}">
-      <freejoint name="{block.name}"/>
-      <geom name="{block.name}" {_box(block.size_m, block.color)} density="{block.density}" {_CONTACT}/>{more}
-    </body>"""
-
-
-def fixture_xml(fixture: Fixture) -> str:
-    """A body of this name that moves only when it is put somewhere, at first under the table."""
-    geoms = "".join(
-        f"""
-      <geom {_box(part.size_m, part.color)} pos="{_numbers(part.position_m)}" {_CONTACT}/>"""
-        for part in fixture.parts
-    )
-    return f"""
-    <body name="{fixture.name}" mocap="true" pos="0.4 0 -0.4">{geoms}
-    </body>"""
-
-
 def _box(size_m: Size, color: Color) -> str:
     half = [side / 2 for side in size_m]
     return f'type="box" size="{_numbers(half)}" rgba="{_numbers([value / 255 for value in color])} 1"'
@@ -132,6 +160,67 @@ def _box(size_m: Size, color: Color) -> str:
 
 def _numbers(values: Size | list[float]) -> str:
     return " ".join(f"{value:.6f}" for value in values)
+
+
+class RigidBody:
+    """A block or a fixture in a running simulation."""
+
+    settle_s = 0.1
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, thing: Block | Fixture) -> None:
+        self._model, self._data = model, data
+        self.thing = thing
+
+    def pose(self) -> FloatArray:
+        """`T_base_body` `(4, 4)` now."""
+        position, quaternion = self._place()
+        return rigid(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
+
+    def planar_pose(self) -> PlanarPose:
+        """Where its middle is above the table, and which way its x axis points there."""
+        return planar_pose(self.pose())
+
+    def top_m(self) -> float:
+        """A height above the table that no point of it is above."""
+        heights = self._data.geom_xpos[self.geoms, 2] + self._model.geom_rbound[self.geoms]
+        return float(heights.max())
+
+    def bottom_m(self) -> float:
+        """A height above the table that no point of it is below."""
+        return float((self._data.geom_xpos[self.geoms, 2] - self._model.geom_rbound[self.geoms]).min())
+
+    def put(self, pose: Pose, *, undented: bool = True) -> None:
+        """Lay it somewhere, at rest, without time passing; it takes no dents."""
+        position, quaternion = self._place()
+        T = self._standing(pose) if isinstance(pose, PlanarPose) else np.asarray(pose, float)
+        position[:] = T[:3, 3]
+        quaternion[:] = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+        if self.thing.movable:
+            dof = int(self._model.joint(self.thing.name).dofadr[0])
+            self._data.qvel[dof : dof + 6] = 0.0
+
+    def carry_along(self, turn: Rotation, shift: FloatArray) -> None:
+        """Move it with the table: turned about the base frame's origin and then shifted by `(3,)` metres."""
+        self.put(rigid(turn.as_matrix(), shift) @ self.pose())
+
+    @property
+    def geoms(self) -> list[int]:
+        """Numbers of its boxes in the model."""
+        return _geoms(self._model, self.thing.name)
+
+    def _standing(self, pose: PlanarPose) -> FloatArray:
+        height = self.thing.size_m[2] / 2 if isinstance(self.thing, Block) else 0.0
+        turn = Rotation.from_euler("z", pose.yaw).as_matrix()
+        return rigid(turn, [pose.x, pose.y, height])
+
+    def _place(self) -> tuple[FloatArray, FloatArray]:
+        """Position `(3,)` and quaternion `(4,)`, w first, to read and to write."""
+        name = self.thing.name
+        if self.thing.movable:
+            start = int(self._model.joint(name).qposadr[0])
+            return self._data.qpos[start : start + 3], self._data.qpos[start + 3 : start + 7]
+        body = int(self._model.body(name).mocapid[0])
+        return self._data.mocap_pos[body], self._data.mocap_quat[body]
 
 
 def reshape(model: mujoco.MjModel, data: mujoco.MjData, thing: Block | Fixture) -> None:

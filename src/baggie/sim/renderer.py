@@ -5,7 +5,7 @@ Cameras with depth in the simulated world: what they see of the table, the arm l
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -13,13 +13,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.errors import BaggieError
 from baggie.gl import claim, require_backend
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.cell import Cell
-from baggie.sim.scene import camera_quaternion
 from baggie.sim.sensor import Exposure, Sensor
-from baggie.types import Image, Intrinsics, Observation
+from baggie.types import Image, Observation
 from baggie.vision.height_map import DepthCamera
 from baggie.vision.targets import Target
 
@@ -172,19 +170,6 @@ DEPTH_NOISE_M = 0.001
 _USUAL = Exposure()
 
 
-def add_depth_cameras(scene: mujoco.MjSpec, cameras: Sequence[DepthCamera]) -> None:
-    """Give a scene these cameras. Raises `BaggieError` for lenses that MuJoCo has none of."""
-    for camera in cameras:
-        _check_lens(camera)
-        focal_length = camera.intrinsics.matrix[1, 1]
-        scene.worldbody.add_camera(
-            name=camera.name,
-            pos=camera.T_base_camera[:3, 3],
-            quat=camera_quaternion(camera.T_base_camera[:3, :3]),
-            fovy=float(np.rad2deg(2 * np.arctan(camera.intrinsics.height / 2 / focal_length))),
-        )
-
-
 class DepthRenderer:
     """Colour and depth of one pass each, from the cameras of a world.
 
@@ -229,16 +214,3 @@ class DepthRenderer:
         near, far = np.float32(clip.znear * extent), np.float32(clip.zfar * extent)
         depth = near * far / (self._depth * (far - near) + near)
         return self._color[::-1], np.asarray(depth[::-1], np.float32)
-
-
-def _check_lens(camera: DepthCamera) -> None:
-    """Square pixels, the principal point in the picture's middle, no distortion."""
-    lens: Intrinsics = camera.intrinsics
-    focal_length = lens.matrix[0, 0]
-    ideal = [[focal_length, 0, (lens.width - 1) / 2], [0, focal_length, (lens.height - 1) / 2], [0, 0, 1]]
-    if not np.allclose(lens.matrix, ideal) or np.any(lens.distortion):
-        raise BaggieError(
-            f"expected the camera {camera.name!r} to have square pixels, its principal point in the middle and no "
-            f"distortion, got the matrix {lens.matrix.tolist()} and distortion {lens.distortion.tolist()}; the "
-            "simulator renders no other"
-        )

@@ -6,17 +6,17 @@ A suction cup on a stem, in the place of the arm's hand.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import mujoco
 import numpy as np
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
-from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
 from baggie.sim.blocks import CUP_RADIUS_M
-from baggie.sim.cell import Cell, cloth, table_top
+from baggie.sim.cell import Cell, table_top
 from baggie.sim.clutter import Distractor, distractor_xml
 from baggie.sim.printed import (
     PLATE,
@@ -27,8 +27,10 @@ from baggie.sim.printed import (
     SHEET_TEXTURE,
     add_printed,
 )
-from baggie.types import Image
+from baggie.sim.things import Thing, paint
+from baggie.types import Intrinsics
 from baggie.vision.goal_card import CARD_COLOR
+from baggie.vision.height_map import DepthCamera
 
 CUP_OFFSET_M = 0.17
 """From the hand's frame to the middle of the cup's rim: what is wide stays above a pyramid of three 4 cm blocks."""
@@ -164,30 +166,32 @@ _WORLD = """
 """
 
 
-_CLOTH = """
-    <texture name="{name}" type="2d" builtin="flat" width="128" height="128" rgb1="1 1 1"/>
-    <material name="{name}" texture="{name}" specular="0.05"/>"""
-
-
 def build_model(
     cell: Cell,
-    bag: BagParameters,
-    second: BagParameters | None = None,
+    things: Sequence[Thing],
+    tool: Tool = "hand",
     distractors: Sequence[Distractor] = (),
+    cameras: Sequence[DepthCamera] = (),
 ) -> mujoco.MjModel:
-    """The whole workcell as one model, about 160 degrees of freedom; a second bag adds as many again."""
-    cloths, bags = _CLOTH.format(name="cloth"), bag_xml(bag)
-    if second is not None:
-        cloths += _CLOTH.format(name="second_cloth")
-        bags += bag_xml(second, SECOND_BAG, "second_cloth")
-    things = bags + "".join(distractor_xml(number, thing) for number, thing in enumerate(distractors))
-    things += block_xml()
-    scene = scene_spec(cell, cloths, things)
+    """The whole workcell as one model; each bag adds some 80 degrees of freedom to the arm's.
+
+    `cameras`: besides the cell's own.
+    """
+    lying = "".join(distractor_xml(number, each) for number, each in enumerate(distractors))
+    bodies = "".join(thing.xml() for thing in things) + lying + (block_xml() if tool == "hand" else "")
+    scene = scene_spec(cell, "".join(thing.assets() for thing in things), bodies, tool)
+    if not any(thing.soft for thing in things):
+        # Round friction cones: blocks do not creep, and cheaper.
+        scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        # What rests on the table stands still and costs nothing; on a fixture, a mocap body, MuJoCo lets none sleep.
+        scene.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    _add_depth_cameras(scene, cameras)
+    if tool == "cup":
+        _add_seals(scene, [thing.name for thing in things if thing.movable])
     model = scene.compile()
     rng = paint_table(model, cell)
-    paint(model, "cloth", cloth(rng, bag))
-    if second is not None:
-        paint(model, "second_cloth", cloth(rng, second))
+    for thing in things:
+        thing.paint(model, rng)
     return model
 
 
@@ -300,6 +304,51 @@ def block_xml() -> str:
     </body>"""
 
 
+def _add_depth_cameras(scene: mujoco.MjSpec, cameras: Sequence[DepthCamera]) -> None:
+    """Give a scene these cameras. Raises `BaggieError` for lenses that MuJoCo has none of."""
+    for camera in cameras:
+        _check_lens(camera)
+        focal_length = camera.intrinsics.matrix[1, 1]
+        scene.worldbody.add_camera(
+            name=camera.name,
+            pos=camera.T_base_camera[:3, 3],
+            quat=camera_quaternion(camera.T_base_camera[:3, :3]),
+            fovy=float(np.rad2deg(2 * np.arctan(camera.intrinsics.height / 2 / focal_length))),
+        )
+
+
+def _check_lens(camera: DepthCamera) -> None:
+    """Square pixels, the principal point in the picture's middle, no distortion."""
+    lens: Intrinsics = camera.intrinsics
+    focal_length = lens.matrix[0, 0]
+    ideal = [[focal_length, 0, (lens.width - 1) / 2], [0, focal_length, (lens.height - 1) / 2], [0, 0, 1]]
+    if not np.allclose(lens.matrix, ideal) or np.any(lens.distortion):
+        raise BaggieError(
+            f"expected the camera {camera.name!r} to have square pixels, its principal point in the middle and no "
+            f"distortion, got the matrix {lens.matrix.tolist()} and distortion {lens.distortion.tolist()}; the "
+            "simulator renders no other"
+        )
+
+
+def _add_seals(scene: mujoco.MjSpec, blocks: Iterable[str]) -> None:
+    """Give a scene one weld for every block, off until the cup seals on it."""
+    for block in blocks:
+        scene.add_equality(
+            name=seal_of(block),
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=ARM + CUP,
+            name2=block,
+            active=False,
+            solref=[0.01, 1.0],
+        )
+
+
+def seal_of(thing: str) -> str:
+    """Name of the weld between the cup and a thing."""
+    return f"seal_{thing}"
+
+
 def _add_camera(scene: mujoco.MjSpec, cell: Cell) -> None:
     scene.worldbody.add_camera(
         name="top",
@@ -315,9 +364,3 @@ def camera_quaternion(R_base_camera: FloatArray) -> FloatArray:
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, turned.ravel())
     return quaternion
-
-
-def paint(model: mujoco.MjModel, texture: str, picture: Image) -> None:
-    """Put a picture `(H, W, 3)` in the place of a texture of that size."""
-    start = model.tex_adr[model.texture(texture).id]
-    model.tex_data[start : start + picture.size] = picture.ravel()

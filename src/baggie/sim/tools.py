@@ -15,7 +15,7 @@ import numpy as np
 
 from baggie.geometry import FloatArray
 from baggie.sim.blocks import CUP_RADIUS_M
-from baggie.sim.scene import ARM, CUP
+from baggie.sim.scene import ARM, CUP, seal_of
 
 MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
 OPEN_M = 0.04  # each finger from the middle, at the most
@@ -65,20 +65,6 @@ _WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)  # as MuJoCo counts in `tree_asleep`
 _BACK_M = 0.004  # rays start within the cup: a surface that the rim presses into is seen too
 
 
-def add_seals(scene: mujoco.MjSpec, blocks: Iterable[str]) -> None:
-    """Give a scene one weld for every block, off until the cup seals on it."""
-    for block in blocks:
-        scene.add_equality(
-            name=_seal(block),
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=ARM + CUP,
-            name2=block,
-            active=False,
-            solref=[0.01, 1.0],
-        )
-
-
 class Suction:
     """The cup's vacuum. Tried once, when it is switched on."""
 
@@ -114,7 +100,7 @@ class Suction:
     def off(self) -> None:
         """Let go."""
         if self.held is not None:
-            self._data.eq_active[self._model.equality(_seal(self.held)).id] = 0
+            self._data.eq_active[self._model.equality(seal_of(self.held)).id] = 0
             self._touch(True)
             # A block that hung still would be put to sleep in the air now that nothing awake is connected to it.
             self._data.tree_asleep[self._model.body_treeid[self._model.body(self.held).id]] = _WIDE_AWAKE
@@ -154,7 +140,7 @@ class Suction:
 
     def _weld(self, block: str) -> None:
         """Make the block's pose in the hand the one it has to keep, anchored at the cup."""
-        body, seal = self._model.body(block).id, self._model.equality(_seal(block)).id
+        body, seal = self._model.body(block).id, self._model.equality(seal_of(block)).id
         data = self._data
         tool = data.site_xpos[self._site]
         cup_axes, block_axes = data.xmat[self._cup].reshape(3, 3), data.xmat[body].reshape(3, 3)
@@ -185,7 +171,3 @@ def is_flat(points: FloatArray, gaps: FloatArray) -> bool:
     plane, *_ = np.linalg.lstsq(design, gaps, rcond=None)
     off = np.abs(design @ plane - gaps).max()
     return bool(off <= FLATNESS_M and np.hypot(*plane[:2]) <= np.tan(TILT_RAD))
-
-
-def _seal(block: str) -> str:
-    return f"seal_{block}"

@@ -38,7 +38,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.seeds import first_fit
-from baggie.sim.bag import BagParameters, Fabric, Shape
+from baggie.sim.bag import Bag, Fabric, Shape
 from baggie.sim.cell import ALL_HUES, UNSEEN, USUAL, Cell, Color, Hues, draw_light, hue_of, random_hue, rgb
 from baggie.sim.clutter import CALM, STRANGE, Distractor, draw_distractors
 from baggie.sim.sensor import Exposure
@@ -116,11 +116,11 @@ class Variety:
 
     cell: Cell
     """With the table and the lamps of this scene; camera and lens are the cell's own."""
-    bag: BagParameters
+    bag: Bag
     exposure: Exposure = Exposure()  # noqa: RUF009 -- frozen, too
     """Of its pictures on the average."""
     distractors: tuple[Distractor, ...] = ()
-    second: BagParameters | None = None
+    second: Bag | None = None
     """A bag that is to stay, if there is one."""
 
 
@@ -146,7 +146,7 @@ _UNSEEN = _BagRange(
 
 
 def draw_variety(
-    scenery: Scenery, cell: Cell, bag: BagParameters, workspace: Rectangle, seed: Sequence[int]
+    scenery: Scenery, cell: Cell, bag: Bag, workspace: Rectangle, seed: Sequence[int]
 ) -> Variety:
     """The scene that these integers name, always the same one.
 
@@ -160,7 +160,7 @@ def draw_variety(
         return Variety(lit, bag, exposure)
     if scenery == "two-bags":
         hue = random_hue(rng, ALL_HUES, unlike=hue_of(bag.color))
-        return Variety(cell, bag, second=replace(bag, color=_cloth_color(hue, rng)))
+        return Variety(cell, bag, second=replace(bag, color=_cloth_color(hue, rng), name="second"))
     if scenery == "unseen-bag":
         return Variety(cell, _draw_bag(_UNSEEN, rng))
     usual = scenery == "varied"
@@ -171,14 +171,14 @@ def draw_variety(
     return Variety(lit, drawn, exposure, things)
 
 
-def _draw_bag(bags: _BagRange, rng: np.random.Generator) -> BagParameters:
+def _draw_bag(bags: _BagRange, rng: np.random.Generator) -> Bag:
     low, high = bags.sizes_m[rng.integers(len(bags.sizes_m))]
     size = float(rng.uniform(low, high))
     shape = bags.shapes[rng.integers(len(bags.shapes))]
     aspect = float(rng.uniform(*bags.aspect)) if shape == "long" else 1.0
     color = _cloth_color(random_hue(rng, bags.hues, reserved=()), rng)
     shade = rng.uniform(0.55, 0.75)
-    return BagParameters(
+    return Bag(
         length_m=size * aspect**0.5,
         width_m=size / aspect**0.5,
         fill=float(rng.uniform(0.93, 1.07)),

@@ -1,21 +1,21 @@
-"""The running simulation of the arm and the bag, with what is printed and laid on the table.
+"""The running simulation of the arm and what lies on the table: any number of things, soft and rigid.
 
-The table's top, which can be knocked.
-
-A firm block that can be laid on the table, for an arm to feel.
+With what is printed and laid there, a firm block for an arm to feel, and a table top that can be knocked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
 from baggie.sim.arm_world import ArmWorld, upward_touch
-from baggie.sim.bag import BAG, SECOND_BAG, BagParameters, SoftBody
+from baggie.sim.bag import Bag
+from baggie.sim.blocks import Block, Fixture, RigidBody, reshape
 from baggie.sim.cell import Cell
 from baggie.sim.clutter import Distractor
 from baggie.sim.printed import (
@@ -28,6 +28,7 @@ from baggie.sim.printed import (
     T_sheet_target,
     texture,
 )
+from baggie.sim.renderer import HIDDEN_GROUP
 from baggie.sim.scene import (
     ARM,
     BLOCK,
@@ -35,137 +36,164 @@ from baggie.sim.scene import (
     BLOCK_HALF_M,
     T_HAND_PLATE,
     TIMESTEP_S,
+    Tool,
     build_model,
-    paint,
 )
+from baggie.sim.things import Body, Pose, Thing, paint
+from baggie.sim.tools import Suction
+from baggie.vision.height_map import DepthCamera
 from baggie.vision.targets import Target
 
-
-def bump_table(
-    model: mujoco.MjModel, data: mujoco.MjData, motion: PlanarPose, bags: Sequence[SoftBody]
-) -> None:
-    """Move the top for good, and with it the bags, the card and the sheet: what was at `pose` is at `motion @ pose`.
-
-    The world's `update_fixed` has to follow.
-    """
-    turn = Rotation.from_euler("z", motion.yaw)
-    quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
-    top = model.geom("table_top")
-    for position, orientation in (
-        (top.pos, top.quat),
-        *zip(data.mocap_pos, data.mocap_quat, strict=True),
-    ):
-        position[:] = turn.apply(position) + shift
-        mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
-    for bag in bags:
-        bag.carry_along(turn, shift)
-
-
-class Block:
-    """The block of a running simulation."""
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._data = model, data
-        self._body = model.body(BLOCK).id
-        self._mocap = int(model.body(BLOCK).mocapid[0])
-        self.pose: PlanarPose | None = None
-        """Where it lies; None while it is away."""
-        self.height_m = 0.0
-        """Of its top above the table; 0 while it is away."""
-
-    def lay(self, pose: PlanarPose, height_m: float) -> None:
-        """Its middle at this place, its top at this height; its sides stay along x and y."""
-        self.pose, self.height_m = pose, height_m
-        self._put((pose.x, pose.y, height_m - BLOCK_HALF_M[2]))
-
-    def take_away(self) -> None:
-        """Off the table."""
-        self.pose, self.height_m = None, 0.0
-        self._put(BLOCK_AWAY)
-
-    def _put(self, at: tuple[float, float, float]) -> None:
-        self._data.mocap_pos[self._mocap] = at
-        self._model.geom(BLOCK).rgba[3] = 1.0 if self.pose else 0.0
-        mujoco.mj_forward(self._model, self._data)
-
-    @property
-    def pressed_n(self) -> float:
-        """Newtons with which something presses on it now."""
-        return 0.0 - upward_touch(self._model, self._data, [self._body])
-
-
-SETTLE_S = 1.0
-COARSE_TIMESTEP_S = 0.008  # three times as fast, and good where nothing but the table touches the bag
-CLEARANCE_M = 0.03  # further than the hand moves in one control period
+COARSE_TIMESTEP_S = 0.008  # twice as fast, and good where nothing but the table touches what lies on it
+PERIOD_S = 0.008
+"""Between two looks at the seal of a cup."""
+HAND_CLEARANCE_M, CUP_CLEARANCE_M = 0.03, 0.02  # further than the hand moves in one control period
 FINGERTIP_M = 0.009  # how far the fingers reach beyond the tool point
-DROP_HEIGHT_M = 0.02
-SECOND_HOME = PlanarPose(0.5, 0.25)  # clear of the first, until it is told where
+ASIDE_X_M, ASIDE_SPACING_M = -1.0, 0.3  # where things wait that play no part, behind the robot
 
 
 class World(ArmWorld):
-    """The arm, a bag, or two, and what else lies on the table."""
+    """The arm and what lies on the table."""
 
     def __init__(
         self,
         cell: Cell,
-        bag: BagParameters | None = None,
-        second: BagParameters | None = None,
+        things: Sequence[Thing] = (Bag(),),
+        tool: Tool = "hand",
         distractors: Sequence[Distractor] = (),
+        cameras: Sequence[DepthCamera] = (),
     ) -> None:
-        self.bag = bag or BagParameters()
+        """`cameras`: for `DepthRenderer`. Raises `BaggieError` where two things have the same name."""
+        self.things = {thing.name: thing for thing in things}
+        if len(self.things) < len(things):
+            names = [thing.name for thing in things]
+            raise BaggieError(f"expected a name of its own for everything on the table, got {names}")
         self.distractors = tuple(distractors)
-        super().__init__(cell, build_model(cell, self.bag, second, self.distractors))
-        self._bag = SoftBody(self.model, self.data, BAG, self.bag)
-        self._second = SoftBody(self.model, self.data, SECOND_BAG, second) if second else None
-        self.block = Block(self.model, self.data)
-        """Firm, for an arm to feel; away until it is laid."""
-        self.reset(PlanarPose(0.5, 0.0))
+        super().__init__(cell, build_model(cell, things, tool, distractors, cameras))
+        self.bodies: dict[str, Body] = {
+            name: thing.bind(self.model, self.data) for name, thing in self.things.items()
+        }
+        self.movable = [name for name, thing in self.things.items() if thing.movable]
+        self._block = FirmBlock(self.model, self.data) if tool == "hand" else None
+        self.suction = Suction(self.model, self.data, self.movable) if tool == "cup" else None
+        self._geoms = {n: b.geoms for n, b in self.bodies.items() if isinstance(b, RigidBody)}
+        self._soft = any(thing.soft for thing in things)
+        places = np.linspace(-0.3, 0.3, len(self.movable)) if len(self.movable) > 1 else [0.0]
+        self.reset({name: PlanarPose(0.5, float(y)) for name, y in zip(self.movable, places, strict=True)})
 
     # -- time ---------------------------------------------------------------------------------------------------
 
+    def advance(self, seconds: float) -> None:
+        """Let physics run; what a cup holds too loosely for what pulls at it is lost within `PERIOD_S`."""
+        if self.suction is None:
+            super().advance(seconds)
+            return
+        for _ in range(max(round(seconds / PERIOD_S), 1)):
+            super().advance(min(seconds, PERIOD_S))
+            self.suction.check()
+
     def _choose_timestep(self, seconds: float) -> float:
-        """Coarse as long as the hand is well above whatever it could touch."""
-        coarse = self._hand_is_clear()
-        # Newton's method is exact when cloth is squeezed; at rest one step of conjugate gradients is as good.
-        self.model.opt.solver = mujoco.mjtSolver.mjSOL_CG if coarse else mujoco.mjtSolver.mjSOL_NEWTON
+        """Coarse as long as the tool, and what it carries, is well above whatever it could touch."""
+        coarse = (
+            seconds >= COARSE_TIMESTEP_S and self._cup_is_clear() if self.suction else self._hand_is_clear()
+        )
+        if self._soft:
+            # Newton's method is exact when cloth is squeezed; at rest one step of conjugate gradients is as good.
+            solvers = mujoco.mjtSolver
+            self.model.opt.solver = solvers.mjSOL_CG if coarse else solvers.mjSOL_NEWTON
         return COARSE_TIMESTEP_S if coarse else TIMESTEP_S
 
     def _hand_is_clear(self) -> bool:
         fingertips = self.data.site_xpos[self._tool_site, 2] - FINGERTIP_M
-        highest = max(self.data.flexvert_xpos[:, 2].max(), self.block.height_m)
-        return bool(fingertips - highest > CLEARANCE_M)
+        block = [self._block.height_m] if self._block else []
+        highest = max([*(self.bodies[name].top_m() for name in self.movable), *block], default=0.0)
+        return bool(fingertips - highest > HAND_CLEARANCE_M)
 
-    def reset(self, bag_pose: PlanarPose, second_pose: PlanarPose | None = None) -> None:
-        """Arm home, gripper open, the bag dropped flat at this pose without dents, everything at rest.
-
-        So is the second bag at its own pose, where there is one.
-        """
-        self._reset_arm()
-        self.block.take_away()
-        if self._second is not None:
-            self._second.put(second_pose or SECOND_HOME, DROP_HEIGHT_M, undented=True)
-        self.put_bag(bag_pose, undented=True)
-        self.advance(SETTLE_S)
-
-    # -- bags, card and printed sheets -------------------------------------------------------------------------
-
-    def put_bag(self, pose: PlanarPose, height: float = DROP_HEIGHT_M, *, undented: bool) -> None:
-        """Lay the bag, at rest, with its centre `height` metres above the table; its dents stay unless `undented`."""
-        self._bag.put(pose, height, undented=undented)
-        mujoco.mj_forward(self.model, self.data)
+    def _cup_is_clear(self) -> bool:
+        """Whether the cup, or what hangs from it, is well above the highest of what does not."""
+        held = self.suction.held if self.suction else None
+        lowest = self.data.site_xpos[self._tool_site, 2]
+        if held is not None:
+            lowest = self.bodies[held].bottom_m()
+        highest = max((self.bodies[name].top_m() for name in self.movable if name != held), default=0.0)
+        return bool(lowest - max(highest, 0.0) >= CUP_CLEARANCE_M)
 
     @property
-    def bag_points(self) -> FloatArray:
-        """`(P, 3)` metres: the bag's surface points now."""
-        return self._bag.points
+    def block(self) -> FirmBlock:
+        """For an arm with a hand to feel; away until it is laid. Raises `BaggieError` where the arm has no hand."""
+        if self._block is None:
+            raise BaggieError("expected an arm with a hand, to feel a firm block, got one with a suction cup")
+        return self._block
 
-    def bag_pose(self) -> PlanarPose:
-        """The bag's true centre and yaw."""
-        return self._bag.pose()
+    # -- things -------------------------------------------------------------------------------------------------
 
-    def second_pose(self) -> PlanarPose | None:
-        """The same of the second bag, where there is one."""
-        return self._second.pose() if self._second else None
+    def reset(self, poses: Mapping[str, Pose], aside: Collection[str] = ()) -> None:
+        """Arm home, tool empty, everything at its pose, at rest, undented; fixtures without one go under the table.
+
+        `aside`: what plays no part; unseen, it waits behind the robot. Raises `BaggieError` where anything else that
+        can be moved has no pose, or a pose nothing.
+        """
+        poses = {**poses, **self._aside(aside)}
+        if not set(self.movable) <= set(poses) <= set(self.things):
+            raise BaggieError(
+                f"expected poses of all of {sorted(self.movable)} and at most of "
+                f"{sorted(set(self.things) - set(self.movable))} besides, got poses of {sorted(poses)}"
+            )
+        self._reset_arm()
+        if self._block is not None:
+            self._block.take_away()
+        if self.suction is not None:
+            self.suction.off()
+        for name, geoms in self._geoms.items():
+            if name in self.movable:
+                self.model.geom_group[geoms] = HIDDEN_GROUP if name in aside else 0
+        for name, pose in poses.items():
+            self.bodies[name].put(pose, undented=True)
+        mujoco.mj_forward(self.model, self.data)
+        self.advance(max((body.settle_s for body in self.bodies.values()), default=0.0))
+
+    def reshape(self, things: Iterable[Thing]) -> None:
+        """Give what has the names of these rigid things their sizes, weights and colours; `reset` has to follow.
+
+        Raises `BaggieError` where nothing has this name, or what is of several boxes is not of those it was built of.
+        """
+        for thing in things:
+            if thing.name not in self.things:
+                raise BaggieError(f"expected one of {[*self.things]}, got {thing.name!r}")
+            if not isinstance(thing, Block | Fixture):
+                raise BaggieError(f"expected a rigid thing, got {thing.name!r}, which takes another world")
+            reshape(self.model, self.data, thing)
+            self.things[thing.name] = thing
+            self.bodies[thing.name] = thing.bind(self.model, self.data)
+
+    def put(self, name: str, pose: Pose, *, undented: bool = False) -> None:
+        """Put a thing somewhere, at rest, without time passing; dents stay unless `undented`.
+
+        Raises `BaggieError` where nothing has this name.
+        """
+        if name not in self.things:
+            raise BaggieError(f"expected one of {[*self.things]}, got {name!r}")
+        self.bodies[name].put(pose, undented=undented)
+        mujoco.mj_forward(self.model, self.data)
+
+    def pose(self, name: str) -> FloatArray:
+        """`T_base_body` `(4, 4)` of a thing now."""
+        return self.bodies[name].pose()
+
+    def poses(self) -> dict[str, FloatArray]:
+        """By name, `T_base_body` `(4, 4)` of everything now."""
+        return {name: body.pose() for name, body in self.bodies.items()}
+
+    def planar_pose(self, name: str) -> PlanarPose:
+        """Where a thing's middle is above the table, and which way its x axis points there."""
+        return self.bodies[name].planar_pose()
+
+    def _aside(self, names: Collection[str]) -> dict[str, PlanarPose]:
+        return {
+            name: PlanarPose(ASIDE_X_M, ASIDE_SPACING_M * number) for number, name in enumerate(sorted(names))
+        }
+
+    # -- card and printed sheets --------------------------------------------------------------------------------
 
     def put_card(self, pose: PlanarPose | None) -> None:
         """Lay the printed goal card on the table, or take it away."""
@@ -215,7 +243,7 @@ class World(ArmWorld):
 
         Turned about the base frame's origin and then shifted: what was at `pose` is at `motion @ pose`.
         """
-        bump_table(self.model, self.data, motion, [bag for bag in (self._bag, self._second) if bag])
+        bump_table(self.model, self.data, motion, [self.bodies[name] for name in self.movable])
         self.update_fixed()
 
     def _print(
@@ -226,3 +254,56 @@ class World(ArmWorld):
             paint(self.model, name, texture(target, size_m, shape, scale))
             self.printed[name] = (target, scale)
         self.model.geom(name).rgba[3] = 1.0
+
+
+def bump_table(
+    model: mujoco.MjModel, data: mujoco.MjData, motion: PlanarPose, bodies: Sequence[Body]
+) -> None:
+    """Move the top for good, and with it the bodies, the card and the sheet: what was at `pose` is at `motion @ pose`.
+
+    The world's `update_fixed` has to follow.
+    """
+    turn = Rotation.from_euler("z", motion.yaw)
+    quaternion, shift = turn.as_quat(scalar_first=True), np.array([motion.x, motion.y, 0.0])
+    top = model.geom("table_top")
+    for position, orientation in (
+        (top.pos, top.quat),
+        *zip(data.mocap_pos, data.mocap_quat, strict=True),
+    ):
+        position[:] = turn.apply(position) + shift
+        mujoco.mju_mulQuat(orientation, quaternion, orientation.copy())
+    for body in bodies:
+        body.carry_along(turn, shift)
+
+
+class FirmBlock:
+    """The block of a running simulation."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        self._body = model.body(BLOCK).id
+        self._mocap = int(model.body(BLOCK).mocapid[0])
+        self.pose: PlanarPose | None = None
+        """Where it lies; None while it is away."""
+        self.height_m = 0.0
+        """Of its top above the table; 0 while it is away."""
+
+    def lay(self, pose: PlanarPose, height_m: float) -> None:
+        """Its middle at this place, its top at this height; its sides stay along x and y."""
+        self.pose, self.height_m = pose, height_m
+        self._put((pose.x, pose.y, height_m - BLOCK_HALF_M[2]))
+
+    def take_away(self) -> None:
+        """Off the table."""
+        self.pose, self.height_m = None, 0.0
+        self._put(BLOCK_AWAY)
+
+    def _put(self, at: tuple[float, float, float]) -> None:
+        self._data.mocap_pos[self._mocap] = at
+        self._model.geom(BLOCK).rgba[3] = 1.0 if self.pose else 0.0
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def pressed_n(self) -> float:
+        """Newtons with which something presses on it now."""
+        return 0.0 - upward_touch(self._model, self._data, [self._body])

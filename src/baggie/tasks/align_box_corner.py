@@ -7,7 +7,7 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
 
 LENGTH_M, WIDTH_M, HEIGHT_M = (0.08, 0.12), (0.045, 0.07), (0.02, 0.05)  # of the box, from and to
 ARM_M, THICK_M, HIGH_M = 0.06, 0.006, 0.003  # of the two bars that mark the corner
@@ -30,7 +30,7 @@ _MIDDLE = PlanarPose(_SQUARE_M / 2 - THICK_M, _SQUARE_M / 2 - THICK_M)
 """Of that square, in the corner's frame."""
 
 
-def _draw(rng: np.random.Generator) -> Scene:
+def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     size = tuple(float(rng.uniform(*sides)) for sides in (LENGTH_M, WIDTH_M, HEIGHT_M))
     length, width, height = size
     box = Block("box", (length, width, height), list(COLORS.values())[rng.integers(len(COLORS))])
@@ -40,15 +40,16 @@ def _draw(rng: np.random.Generator) -> Scene:
     slots = tuple(
         Slot(pose, height / 2, "corner") for pose in (PlanarPose(a, b), PlanarPose(b, a, np.pi / 2))
     )
-    return Scene((box,), (_CORNER,), poses, (Stage(("box",), slots, weight=1.0, symmetry=2),))
+    return Scene((box, _CORNER), poses, (Stage(("box",), slots, weight=1.0, symmetry=2),))
 
 
 ALIGN_BOX_CORNER = Task(
     name="align-box-corner",
     instruction="Lay the box into the marked corner.",
-    blocks=(_BOX,),
-    fixtures=(_CORNER,),
-    draw=_draw,
+    tool="cup",
+    view="height-map",
+    things=(_BOX, _CORNER),
+    draw_scene=_draw,
     max_steps=3,
     object_symmetry=2,
 )

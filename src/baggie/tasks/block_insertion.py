@@ -7,7 +7,7 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
 
 LEG_M, WIDE_M, HIGH_M = (
     0.10,
@@ -64,17 +64,18 @@ _RADII_M = {"ell": radius_m((LEG_M, LEG_M)), "outline": radius_m((_OUTER_M, _OUT
 _STAGE = Stage(("ell",), (Slot(PlanarPose(0.0, 0.0), HIGH_M / 2, "outline"),), weight=1.0, symmetry=1)
 
 
-def _draw(rng: np.random.Generator) -> Scene:
+def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     poses = {name: pose @ _MIDDLE.inverse() for name, pose in scatter(_RADII_M, rng).items()}
-    return Scene((_ELL,), (_FIXTURE,), poses, (_STAGE,))
+    return Scene((_ELL, _FIXTURE), poses, (_STAGE,))
 
 
 BLOCK_INSERTION = Task(
     name="block-insertion",
     instruction="Put the L into its outline.",
-    blocks=(_ELL,),
-    fixtures=(_FIXTURE,),
-    draw=_draw,
+    tool="cup",
+    view="height-map",
+    things=(_ELL, _FIXTURE),
+    draw_scene=_draw,
     max_steps=3,
     object_symmetry=1,
 )

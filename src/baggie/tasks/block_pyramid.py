@@ -7,7 +7,7 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, stand
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
 
 SIDE_M, SPACING_M, PLATE_M = 0.04, 0.05, 0.005
 ROWS = (("purple", "blue", "green"), ("yellow", "orange"), ("red",))
@@ -33,17 +33,18 @@ _STAGES = tuple(
 )
 
 
-def _draw(rng: np.random.Generator) -> Scene:
-    return Scene(_BLOCKS, (_STAND,), scatter(_RADII_M, rng), _STAGES)
+def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
+    return Scene((*_BLOCKS, _STAND), scatter(_RADII_M, rng), _STAGES)
 
 
 BLOCK_PYRAMID = Task(
     name="block-pyramid",
     instruction="Build a pyramid of six blocks on the stand: purple, blue and green below, yellow and orange on "
     "them, red on top.",
-    blocks=_BLOCKS,
-    fixtures=(_STAND,),
-    draw=_draw,
+    tool="cup",
+    view="height-map",
+    things=(*_BLOCKS, _STAND),
+    draw_scene=_draw,
     max_steps=12,
     object_symmetry=4,
 )

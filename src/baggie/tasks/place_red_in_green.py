@@ -9,7 +9,7 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Color, Fixture, Part
 from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
-from baggie.tasks.task import Scene, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
 
 SIDE_M, MOST = 0.04, 3
 BOWL_M, WALL_M, BOTTOM_M, RIM_M = 0.09, 0.005, 0.005, 0.02  # side, walls, bottom, height of the rim
@@ -32,7 +32,7 @@ _OTHER_BLOCKS = tuple(Block(f"block{number}") for number in range(MOST))
 _OTHER_BOWLS = tuple(bowl(f"bowl{number}", _OTHERS[0]) for number in range(MOST))
 
 
-def _draw(rng: np.random.Generator) -> Scene:
+def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     """One to three green bowls, at most as many red blocks, and one to three blocks and bowls that are neither."""
     bowls = rng.integers(1, MOST + 1)
     red, green = _RED[: rng.integers(1, bowls + 1)], _GREEN[:bowls]
@@ -47,7 +47,7 @@ def _draw(rng: np.random.Generator) -> Scene:
         for name in left_to_right([each.name for each in green], poses)
     )
     stage = Stage(tuple(left_to_right([block.name for block in red], poses)), slots, weight=1.0, symmetry=0)
-    return Scene(blocks, fixtures, poses, (stage,))
+    return Scene((*blocks, *fixtures), poses, (stage,))
 
 
 def _other(rng: np.random.Generator) -> Color:
@@ -57,9 +57,10 @@ def _other(rng: np.random.Generator) -> Color:
 PLACE_RED_IN_GREEN = Task(
     name="place-red-in-green",
     instruction="Put each red block into a green bowl of its own.",
-    blocks=_RED + _OTHER_BLOCKS,
-    fixtures=_GREEN + _OTHER_BOWLS,
-    draw=_draw,
+    tool="cup",
+    view="height-map",
+    things=_RED + _OTHER_BLOCKS + _GREEN + _OTHER_BOWLS,
+    draw_scene=_draw,
     max_steps=10,
     object_symmetry=4,
 )

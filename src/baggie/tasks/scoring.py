@@ -1,7 +1,7 @@
 """How much of a task is done: as Ravens counts it, and strictly.
 
 Zeng et al., "Transporter Networks", CoRL 2020: a block counts where it is within 1 cm and 15 degrees of a slot. Poses
-are `T_base_body` `(4, 4)` by name, of blocks and fixtures, as `BlockWorld.poses` gives them.
+are `T_base_body` `(4, 4)` by name, of blocks and fixtures, as `World.poses` gives them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from baggie.geometry import FloatArray, wrap_angle
 from baggie.tasks.task import Stage
 
 if TYPE_CHECKING:
-    from baggie.sim.block_world import BlockWorld
+    from baggie.sim.world import World
 
 POSITION_M = 0.01
 HEIGHT_M = 0.01
@@ -77,7 +77,7 @@ def all_filled(stages: Sequence[Stage], poses: Poses) -> bool:
     return all(len(filled(stage, poses)) == len(stage.blocks) for stage in stages)
 
 
-def strict_success(stages: Sequence[Stage], world: BlockWorld, stands_s: float = STANDS_S) -> bool:
+def strict_success(stages: Sequence[Stage], world: World, stands_s: float = STANDS_S) -> bool:
     """Whether `all_filled` holds now and still does after `stands_s` seconds, which pass only if it does now."""
     if not all_filled(stages, world.poses()):
         return False

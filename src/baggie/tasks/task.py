@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.robot.limits import WORKSPACE
 from baggie.sim.blocks import Block, Fixture
+from baggie.sim.cell import Cell, draw_cell
+from baggie.sim.things import Thing
+from baggie.sim.variety import Scenery, Variety
 
 
 @dataclass(frozen=True)
@@ -43,15 +48,43 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """What a scene is drawn for."""
+
+    things: tuple[Thing, ...]
+    """The task's own, or what a workcell's file says of them."""
+    cell: Cell = field(default_factory=lambda: draw_cell(0))
+    """The workcell as it is from day to day."""
+    workspace: Rectangle = WORKSPACE
+    """Where things may be picked and placed; robot base frame, metres."""
+    scenery: Scenery = "plain"
+    """How much of the scene varies."""
+    seed: tuple[int, ...] = (0,)
+    """The integers that name the scene."""
+
+
+@dataclass(frozen=True)
 class Scene:
     """One drawing of a task."""
 
-    blocks: tuple[Block, ...]
+    things: tuple[Thing, ...]
     """Those that play a part, as they are in this scene."""
-    fixtures: tuple[Fixture, ...]
     poses: Mapping[str, PlanarPose]
     """Where each of them is at first, by name; robot base frame."""
-    stages: tuple[Stage, ...]
+    stages: tuple[Stage, ...] = ()
+    """In the order in which they count; none where what counts is the goal that a policy is given."""
+    variety: Variety | None = None
+    """Table, light and distractors; None for the cell's own."""
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Those of its things that are rigid and can be moved."""
+        return tuple(thing for thing in self.things if isinstance(thing, Block))
+
+    @property
+    def fixtures(self) -> tuple[Fixture, ...]:
+        """Those that stay where they are."""
+        return tuple(thing for thing in self.things if isinstance(thing, Fixture))
 
 
 @dataclass(frozen=True)
@@ -61,13 +94,29 @@ class Task:
     name: str
     instruction: str
     """In words, as it is recorded with every attempt."""
-    blocks: tuple[Block, ...]
+    tool: Literal["hand", "cup"]
+    """What the arm carries."""
+    view: Literal["camera", "height-map"]
+    """What a policy sees: the overhead camera's picture, or the table from straight above with heights."""
+    things: tuple[Thing, ...]
     """All that any scene needs; a scene may give them another size and colour."""
-    fixtures: tuple[Fixture, ...]
-    """The same; a scene may give them other colours."""
-    draw: Callable[[np.random.Generator], Scene]
-    """A scene without collisions, within the height map and the arm's reach, by this stream alone."""
+    draw_scene: Callable[[np.random.Generator, Setting], Scene]
+    """Draws one without collisions, where the camera sees it and the arm reaches, by this stream and setting alone."""
     max_steps: int
-    """How many picks and places an episode may take, as in Ravens."""
+    """How many picks and places an episode may take."""
     object_symmetry: int
     """How many times a turn what is carried looks the same: place yaws that far apart come to the same."""
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Those of its things that are rigid and can be moved."""
+        return tuple(thing for thing in self.things if isinstance(thing, Block))
+
+    def draw(self, rng: np.random.Generator, setting: Setting | None = None) -> Scene:
+        """A scene, drawn from a stream; of cell 0 with nothing varied unless a setting is given."""
+        return self.draw_scene(rng, setting or Setting(self.things))
+
+    @property
+    def has_goal(self) -> bool:
+        """Whether a policy is given a goal in the picture; else the task itself says where things go."""
+        return self.view == "camera"

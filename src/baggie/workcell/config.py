@@ -27,7 +27,7 @@ from baggie.robot.lerobot.arm import LeRobotArm
 from baggie.robot.lerobot.link import open_robot
 from baggie.robot.limits import Watchdog
 from baggie.robot.python_devices import open_python_arm, open_python_camera
-from baggie.sim.bag import BagParameters
+from baggie.sim.bag import Bag
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Calibrations, Workcell, WorkcellSettings
@@ -125,7 +125,7 @@ def open_written(written: WorkcellFile, path: Path) -> Workcell:
 
 
 def _open(written: WorkcellFile, path: Path) -> Workcell:
-    bag = BagParameters(
+    bag = Bag(
         length_m=written.bag.length_m,
         width_m=written.bag.width_m,
         shape="long" if written.bag.long else "square",
@@ -157,7 +157,9 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
     if isinstance(entry, ReplayEntry):
         return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
     if isinstance(entry, SimulatedEntry):
-        return SimulatedWorkcell(written.cell, settings, bag, picture_size=written.picture_size)
+        return SimulatedWorkcell(
+            written.cell, settings=settings, things=(bag,), picture_size=written.picture_size
+        )
     arm = _open_arm(entry, path.parent)
     try:
         if line := written.contradiction(arm.info):

@@ -1,9 +1,4 @@
-"""The simulated workcell: arm, camera and table in MuJoCo, behind the same protocols as real ones.
-
-What every workcell in MuJoCo has: the world's clock, and a film of it.
-
-The simulated overhead camera, as a workcell has it.
-"""
+"""The simulated workcell: arm, cameras and table in MuJoCo with a task, behind the same protocols as real ones."""
 
 from __future__ import annotations
 
@@ -15,26 +10,117 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.robot.handling_rules import SIMULATED_HANDLING
-from baggie.sim.arm import SimulatedArm
-from baggie.sim.arm_world import ArmWorld
-from baggie.sim.bag import BagParameters
+from baggie.robot.limits import Limits
+from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
+from baggie.sim.bag import Bag
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
-from baggie.sim.renderer import CameraRenderer, Film
+from baggie.sim.renderer import Film
 from baggie.sim.sensor import Exposure
-from baggie.sim.variety import Scenery, Variety, draw_variety, lay_bags
+from baggie.sim.things import Thing
+from baggie.sim.variety import Scenery, lay_bags
 from baggie.sim.world import World
-from baggie.types import Image, Intrinsics, Observation
+from baggie.tasks import USUAL, Scene, Setting, Task, find_task
+from baggie.tasks.demonstrator import next_action, varied_action
+from baggie.tasks.layout import REACH
+from baggie.tasks.scoring import RavensScore, strict_success
+from baggie.types import Image, PickPlace
+from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.vision.targets import Target
+from baggie.workcell.simulated_cameras import NoPictures, SimulatedCamera, SimulatedHeightMap, SimulatedView
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
+_FIRST = (0,)
+"""Names the scene a workcell opens with."""
+_STRAY_M = 0.01  # the arm is not quite where it was sent, at the workspace's edge too
 
-class MujocoWorkcell(Workcell):
-    """A workcell whose table and arm are a running simulation."""
 
-    world: ArmWorld
+class SimulatedWorkcell(Workcell):
+    """A workcell in MuJoCo with a task.
+
+    `world`, `scene`, `score`, `demonstrate`, `strict_success`, `truth`, `second_truth`, `obstacles` and `goal_corners`
+    are for demonstrations and evaluation only. In a scenery other than `plain` every reset builds another world, which
+    takes a second or two; a film ends with it.
+    """
+
     repeatable = True
+
+    def __init__(
+        self,
+        cell: int = 0,
+        task: Task | None = None,
+        *,
+        settings: WorkcellSettings | None = None,
+        things: Sequence[Thing] | None = None,
+        scenery: Scenery = "plain",
+        picture_size: tuple[int, int] = PICTURE_SIZE,
+        pictures: bool = True,
+    ) -> None:
+        """`task`: the usual one unless given; `things`: the task's. `picture_size`: of the overhead camera, pixels."""
+        self.task = task or find_task(USUAL)
+        self.scenery: Scenery = scenery
+        self._things = tuple(self.task.things if things is None else things)
+        self._cell = draw_cell(cell, picture_size)
+        described = settings or _settings(self.task, self._things, cell)
+        self.scene = self._draw(described.workspace, _FIRST, np.random.default_rng(_FIRST))
+        self.world = self._build()
+        self._tool = SimulatedArm(self.world) if self.task.tool == "hand" else SuctionArm(self.world)
+        self._view: SimulatedView = NoPictures()
+        if pictures:
+            overhead = self.task.view == "camera"
+            self._view = (
+                SimulatedCamera(self.world, self._exposure) if overhead else SimulatedHeightMap(self.world)
+            )
+        super().__init__(self._tool, self._view, described)
+        if scenery != "plain":
+            self._describe()
+        self.reset(_FIRST)
+
+    def reset(self, seed: Sequence[int]) -> None:
+        """A new scene of the task, the one these integers name; arm parked, nothing scored yet.
+
+        Where the scenery varies, `settings` describe the bag at hand from now on.
+        """
+        self._rng = np.random.default_rng(list(seed))
+        self._view.reseed(self._rng)
+        self.scene = self._draw(self.settings.workspace, tuple(seed), self._rng)
+        self.score = RavensScore(self.scene.stages)
+        if self.scenery != "plain":
+            self.world = self._build()
+            self._tool.enter(self.world)
+            self._view.enter(self.world, self._exposure)
+            self._describe()
+        self.world.reshape([*self.scene.blocks, *self.scene.fixtures])
+        self.show_paddle(False)
+        self.lay_card(None)
+        self.hide_target()
+        self.hold_target(None)
+        self.world.reset(self.scene.poses, aside=set(self.world.movable) - set(self.scene.poses))
+        self._tool.reset()
+        self.arm.park()
+
+    def _draw(self, workspace: Rectangle, seed: Sequence[int], rng: np.random.Generator) -> Scene:
+        return self.task.draw(rng, Setting(self._things, self._cell, workspace, self.scenery, tuple(seed)))
+
+    def _build(self) -> World:
+        """The world of the scene at hand; where nothing varies, of all that any scene needs."""
+        cameras = RAVENS_DEPTH_CAMERAS if self.task.view == "height-map" else ()
+        variety = self.scene.variety
+        if variety is None:
+            return World(self._cell, self._things, self.task.tool, cameras=cameras)
+        return World(variety.cell, self.scene.things, self.task.tool, variety.distractors, cameras)
+
+    @property
+    def _exposure(self) -> Exposure:
+        return Exposure() if self.scene.variety is None else self.scene.variety.exposure
+
+    def _describe(self) -> None:
+        """Make the settings say what the bag of this scene is."""
+        (bag, *_) = (thing for thing in self.scene.things if isinstance(thing, Bag))
+        self.settings = _describing(bag, self.settings)
+
+    # -- time ---------------------------------------------------------------------------------------------------
 
     def clock(self) -> float:
         """Seconds of simulated time since the last reset."""
@@ -51,109 +137,33 @@ class MujocoWorkcell(Workcell):
             self.world.watchers.remove(film.watch)
             film.close()
 
+    # -- the truth ----------------------------------------------------------------------------------------------
 
-class SimulatedCamera:
-    """The overhead colour and depth camera, with exposure and light that drift."""
+    def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
+        """What a demonstrator who knows where everything is does next; None when all is done, strictly.
 
-    def __init__(self, world: ArmWorld, usual: Exposure) -> None:
-        """`usual`: what exposures drift about."""
-        self.name = f"simulated camera of cell {world.cell.number}"
-        self.size = world.cell.lens.size
-        self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
-        self._renderer = CameraRenderer(world)
-        self._usual = usual
-        self._rng = np.random.default_rng()
-
-    def enter(self, world: ArmWorld, usual: Exposure) -> None:
-        """Look into another world from now on, with exposures that drift about `usual`."""
-        self._renderer.close()
-        self._renderer = CameraRenderer(world)
-        self._usual = usual
-
-    def reseed(self, rng: np.random.Generator) -> None:
-        """Draw exposures and noise from this stream from now on."""
-        self._rng = rng
-
-    def look(self) -> Observation:
-        """A picture of the world as it is now."""
-        exposure = self._usual.times(Exposure.random(self._rng))
-        return replace(self._renderer.look(exposure, self._rng), intrinsics=self.intrinsics)
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        self._renderer.close()
-
-
-_FIRST = (0,)
-"""Names the scene a workcell opens with."""
-
-
-class SimulatedWorkcell(MujocoWorkcell):
-    """A workcell in MuJoCo. `truth`, `second_truth`, `obstacles`, `goal_corners` and `world` are for evaluation only.
-
-    In a scenery other than `plain` every reset builds another world, which takes a second or two; a film ends with it.
-    """
-
-    def __init__(
-        self,
-        cell: int = 0,
-        settings: WorkcellSettings | None = None,
-        bag: BagParameters | None = None,
-        scenery: Scenery = "plain",
-        picture_size: tuple[int, int] = PICTURE_SIZE,
-    ):
-        self.scenery: Scenery = scenery
-        self._plain = draw_cell(cell, picture_size), bag or BagParameters()
-        settings = settings or _describing(
-            self._plain[1], WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)
-        )
-        first = draw_variety(scenery, *self._plain, settings.workspace, _FIRST)
-        self.world: World = _build(first)
-        self._simulated_arm = SimulatedArm(self.world)
-        self._simulated_camera = SimulatedCamera(self.world, first.exposure)
-        if scenery != "plain":
-            settings = _describing(first.bag, settings)
-        super().__init__(self._simulated_arm, self._simulated_camera, settings)
-        self._begin(_FIRST)
-
-    def reset(self, seed: Sequence[int]) -> None:
-        """A new scene, the one these integers name: the bag anywhere in the workspace at any angle, arm parked.
-
-        Where the scenery varies, `settings` describe the bag at hand from now on.
+        With a stream in the style of others, whose whims are drawn from it (`baggie.tasks.demonstrator`).
         """
-        if self.scenery != "plain":
-            self._set_the_scene(seed)
-        self._begin(seed)
+        if rng is None:
+            return next_action(self.scene.stages, self.world.poses())
+        return varied_action(self.scene, self.world.poses(), rng)
 
-    def _set_the_scene(self, seed: Sequence[int]) -> None:
-        """Move into the world that these integers name."""
-        variety = draw_variety(self.scenery, *self._plain, self.settings.workspace, seed)
-        self.world = _build(variety)
-        self._simulated_arm.enter(self.world)
-        self._simulated_camera.enter(self.world, variety.exposure)
-        self.settings = _describing(variety.bag, self.settings)
+    def count(self) -> float:
+        """What Ravens rewards since the last call; call it after every pick and place. The sum is `score.total`."""
+        return self.score.count(self.world.poses())
 
-    def _begin(self, seed: Sequence[int]) -> None:
-        """Lay the bags of the world at hand where these integers say, all else cleared away."""
-        self._rng = np.random.default_rng(list(seed))
-        self._simulated_camera.reseed(self._rng.spawn(1)[0])
-        self.show_paddle(False)
-        self.lay_card(None)
-        self.hide_target()
-        self.hold_target(None)
-        two = self.second_truth() is not None
-        bag, second = lay_bags(self.settings.workspace, self.obstacles(), two, self._rng)
-        self.world.reset(bag, second)
-        self._simulated_arm.reset()
-        self.arm.park()
+    def strict_success(self) -> bool:
+        """Whether every block is in a slot of its own, upright, and stays there: two seconds pass if it looks so."""
+        return strict_success(self.scene.stages, self.world)
 
     def truth(self) -> PlanarPose:
         """The bag's true centre and yaw now."""
-        return self.world.bag_pose()
+        return self.world.planar_pose(self.scene.things[0].name)
 
     def second_truth(self) -> PlanarPose | None:
         """The same of the second bag, which is to stay, where there is one."""
-        return self.world.second_pose()
+        others = [thing for thing in self.scene.things[1:] if thing.movable]
+        return self.world.planar_pose(others[0].name) if others else None
 
     def obstacles(self) -> list[PlanarPose]:
         """Where things stand that a hand or a bag can run into."""
@@ -200,7 +210,7 @@ class SimulatedWorkcell(MujocoWorkcell):
 
         Raises `ReachError` where the arm does not reach.
         """
-        return self._simulated_arm.lead_to(T_base_hand)
+        return self._tool.lead_to(T_base_hand)
 
     def bump_camera(self, shift_m: ArrayLike, turn_rad: ArrayLike) -> None:
         """Knock the camera for good: `shift_m` `(3,)` in the base frame, `turn_rad` `(3,)` about its own axes.
@@ -218,18 +228,22 @@ class SimulatedWorkcell(MujocoWorkcell):
         self._check_plain()
         self.world.bump_table(PlanarPose(x, y, yaw))
 
+    def lay_aside(self, pose: PlanarPose) -> None:
+        """Put the bag somewhere else, as a person would; its dents stay."""
+        self.world.put(self.scene.things[0].name, pose)
+
     def rescue(self) -> bool:
         """What a person would do: lay the lost bag back on the table, its dents with it."""
         second = self.second_truth()
         in_the_way = [*self.obstacles(), *([second] if second else [])]
         pose, _ = lay_bags(self.settings.workspace, in_the_way, two=False, rng=self._rng)
-        self.world.put_bag(pose, undented=False)
+        self.lay_aside(pose)
         self.world.advance(1.0)
         return True
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._simulated_camera.close()
+        self._view.close()
 
     def _check_plain(self) -> None:
         if self.scenery != "plain":
@@ -239,23 +253,53 @@ class SimulatedWorkcell(MujocoWorkcell):
             )
 
 
-def _build(variety: Variety) -> World:
-    return World(variety.cell, variety.bag, variety.second, variety.distractors)
+def _settings(task: Task, things: Sequence[Thing], cell: int) -> WorkcellSettings:
+    """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
+    if task.tool == "hand":
+        (bag, *_) = (thing for thing in things if isinstance(thing, Bag))
+        return _describing(bag, WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING))
+    largest = max(task.blocks, key=lambda block: block.size_m)
+    return WorkcellSettings(
+        name=f"sim cell {cell}, {task.name}",
+        workspace=REACH,
+        limits=Limits(workspace=_wider(REACH), reach=Rectangle(0.15, 0.75, -0.50, 0.50), z_min_m=0.0),
+        handling=BLOCK_HANDLING,
+        object_color=largest.color,
+        object_size_m=largest.size_m,
+        object_symmetry=1,  # a cup picks it anywhere, so a plan's turn is carried out as it is said
+    )
 
 
-def _describing(bag: BagParameters, settings: WorkcellSettings) -> WorkcellSettings:
+def _wider(area: Rectangle) -> Rectangle:
+    return Rectangle(
+        area.x_min - _STRAY_M, area.x_max + _STRAY_M, area.y_min - _STRAY_M, area.y_max + _STRAY_M
+    )
+
+
+def _describing(bag: Bag, settings: WorkcellSettings) -> WorkcellSettings:
     """These settings for this bag."""
     return replace(settings, object_color=bag.color, object_size_m=bag.size_m, object_symmetry=bag.symmetry)
 
 
 def open_simulated(
     cell: int = 0,
+    task: str = USUAL,
+    *,
     settings: WorkcellSettings | None = None,
     scenery: Scenery = "plain",
     picture_size: tuple[int, int] = PICTURE_SIZE,
+    pictures: bool = True,
 ) -> SimulatedWorkcell:
-    """The simulated workcell with this cell number, its scenes as `baggie.sim.variety` says.
+    """The simulated workcell with this cell number and the task of this name, its scenes as `baggie.sim.variety` says.
 
-    `picture_size`: `(width, height)` of its camera's pictures, pixels.
+    `picture_size`: `(width, height)` of its overhead camera's pictures, pixels. Raises `BaggieError` where there is no
+    such task.
     """
-    return SimulatedWorkcell(cell, settings, scenery=scenery, picture_size=picture_size)
+    return SimulatedWorkcell(
+        cell,
+        find_task(task),
+        settings=settings,
+        scenery=scenery,
+        picture_size=picture_size,
+        pictures=pictures,
+    )

@@ -24,7 +24,7 @@ from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError, BumpedError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.robot.arm import Arm
-from baggie.robot.limits import GuardedArm, Limits
+from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
 from baggie.robot.primitives import Handling, least_turn, pick, place
 from baggie.types import Failure, Image, Observation, Outcome, PickPlace, Plan
 from baggie.vision.drift import Landmarks
@@ -124,7 +124,7 @@ class WorkcellSettings:
     """What a person writes down about a workcell. Robot base frame, SI units, RGB."""
 
     name: str = "sim"
-    workspace: Rectangle = field(default_factory=lambda: Rectangle(0.35, 0.65, -0.30, 0.30))
+    workspace: Rectangle = WORKSPACE
     """Where objects may be picked and placed."""
     limits: Limits = field(
         default_factory=lambda: Limits(
