@@ -29,7 +29,7 @@ from baggie.cameras import camera as height_map_camera
 from baggie.robot.kinematics import Kinematics
 from baggie.sim.renderer import DepthRenderer
 from baggie.tasks import TASKS
-from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
+from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 from stopwatch import timed
 
@@ -50,7 +50,7 @@ def main() -> None:
     with stopwatches(spent):
         for task in TASKS:
             for pictures in (False, True):
-                cell = open_block_workcell(task, pictures=pictures)
+                cell = open_simulated(0, task, pictures=pictures)
                 demonstrate(cell, number, pictures)  # the first warms up
                 spent.clear()
                 shown = [demonstrate(cell, seed, pictures) for seed in range(number)]
@@ -65,7 +65,7 @@ def main() -> None:
     write_and_show("block-demonstrations", "Demonstrations of the block tasks", rows, notes)
 
 
-def demonstrate(cell: BlockWorkcell, seed: int, pictures: bool) -> tuple[float, int, bool, bool]:
+def demonstrate(cell: SimulatedWorkcell, seed: int, pictures: bool) -> tuple[float, int, bool, bool]:
     """One demonstration: seconds, steps, success by Ravens' score and strictly."""
     start = time.process_time()
     cell.reset([SEED, seed])

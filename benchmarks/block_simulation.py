@@ -19,9 +19,9 @@ from baggie.geometry import PlanarPose, wrap_angle
 from baggie.robot.kinematics import Kinematics
 from baggie.robot.primitives import pick, place
 from baggie.sim.arm import BLOCK_HANDLING, SuctionArm
-from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import Block, stand
 from baggie.sim.cell import draw_cell
+from baggie.sim.world import World
 from stopwatch import timed
 
 EPISODES = 5
@@ -30,7 +30,7 @@ BLOCKS = [f"block{number}" for number in range(len(PLACES))]
 
 
 def main() -> None:
-    world = BlockWorld(draw_cell(0), [Block(name) for name in BLOCKS], [stand()])
+    world = World(draw_cell(0), [*map(Block, BLOCKS), stand()], "cup")
     arm = SuctionArm(world)
     spent: defaultdict[str, float] = defaultdict(float)
     steps = [0]

@@ -19,7 +19,7 @@ from baggie.collect.options import CollectedStyle
 from baggie.errors import LimitError, ReachError
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.tasks import TASKS
-from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell
+from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 
 SEED = 0
@@ -47,7 +47,7 @@ def main() -> None:
     number = parser.parse_args().demonstrations
     rows = []
     for task in TASKS:
-        cell = open_block_workcell(task, pictures=False)
+        cell = open_simulated(0, task, pictures=False)
         for style in get_args(CollectedStyle):
             rows.append(
                 {"task": task, "style": style, **summed([demonstrate(cell, k, style) for k in range(number)])}
@@ -61,7 +61,7 @@ def main() -> None:
     write_and_show("demonstration-style", "Demonstrations in both styles", rows, notes)
 
 
-def demonstrate(cell: BlockWorkcell, number: int, style: str) -> Shown:
+def demonstrate(cell: SimulatedWorkcell, number: int, style: str) -> Shown:
     """Demonstration `number` of a recording in this style."""
     cell.reset((COLLECTION, SEED, number))
     shown = Shown()
@@ -79,7 +79,7 @@ def demonstrate(cell: BlockWorkcell, number: int, style: str) -> Shown:
         shown.earned += cell.count() > 0.0
         shown.missed += not outcome.success
         moved = [
-            name for name in cell.world.blocks if np.abs(cell.world.pose(name) - before[name]).max() > 0.02
+            name for name in cell.world.movable if np.abs(cell.world.pose(name) - before[name]).max() > 0.02
         ]
         if outcome.success and moved:
             off = {float(np.hypot(*(before[name][:2, 3] - action.pick.xy))) for name in moved}

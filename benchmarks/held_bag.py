@@ -80,7 +80,7 @@ def xy(pose: PlanarPose) -> list[float]:
 def hanging(cell: SimulatedWorkcell) -> list[float]:
     """The truth: the mean of the bag's points in the tool's frame `(3,)`, and their spread in x, y, z `(3,)`."""
     tool = cell.arm.pose()
-    points = cell.world.bag_points - tool.xyz
+    points = cell.world.bodies["bag"].points - tool.xyz
     c, s = np.cos(tool.yaw), np.sin(tool.yaw)
     points = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     return [*points.mean(axis=0).tolist(), *points.std(axis=0).tolist()]

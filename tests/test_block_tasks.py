@@ -17,7 +17,7 @@ from baggie.types import PickPlace
 from ideal_arm import carried, poses_of
 
 MARGIN_M = 0.05
-tasks = st.sampled_from(list(TASKS.values()))
+tasks = st.sampled_from([task for task in TASKS.values() if task.blocks])
 seeds = st.integers(0, 2**32)
 pyramid = TASKS["block-pyramid"]
 

@@ -98,7 +98,7 @@ def test_without_mujoco_whatever_needs_no_simulator_works(tmp_path: Path) -> Non
 
 def test_an_older_mujoco_is_told_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mujoco, "__version__", "3.17.0")
-    for model in (arm_spec, lambda: build_model(draw_cell(0), Bag())):
+    for model in (arm_spec, lambda: build_model(draw_cell(0), [Bag()])):
         with pytest.raises(
             BaggieError, match=r"MuJoCo 4 is needed, and 3\.17\.0 is installed here.* of its own"
         ):

@@ -37,7 +37,7 @@ def cell() -> Iterator[SimulatedWorkcell]:
 
 def test_the_simulated_arm_keeps_the_contract(cell: SimulatedWorkcell) -> None:
     cell.reset((1,))
-    cell.world.put_bag(PlanarPose(0.2, 0.55), undented=True)
+    cell.world.put("bag", PlanarPose(0.2, 0.55), undented=True)
     cell.world.block.lay(PlanarPose(0.49, 0.0), 0.04)
     pressed = []
     cell.world.watchers.append(lambda: pressed.append(cell.world.block.pressed_n))
@@ -61,7 +61,7 @@ def test_a_bag_is_picked_carried_and_put_down(cell: SimulatedWorkcell) -> None:
     assert outcome.success
     assert outcome.executed.pick.distance(pick) < 0.002
     assert cell.truth().distance(goal) < 0.03
-    assert cell.world.bag_points[:, 2].max() < 0.06  # it lies flat again
+    assert cell.world.bodies["bag"].points[:, 2].max() < 0.06  # it lies flat again
 
 
 def test_a_grasp_beside_the_bag_is_noticed(cell: SimulatedWorkcell) -> None:
@@ -171,7 +171,7 @@ def test_a_limit_met_on_the_way_to_the_place_puts_the_bag_back(
     with pytest.raises(LimitError, match="too long"):
         cell.execute(PickPlace(start, goal))
     assert cell.truth().distance(start) < 0.02
-    assert cell.world.bag_points[:, 2].max() < 0.06, "it lies on the table"
+    assert cell.world.bodies["bag"].points[:, 2].max() < 0.06, "it lies on the table"
 
 
 @given(carries_in(WorkcellSettings().workspace), st.sampled_from([1, 2, 4]))
@@ -184,7 +184,7 @@ def test_every_action_of_the_environment_is_reached(
 
 def test_a_lost_bag_is_laid_back(cell: SimulatedWorkcell) -> None:
     cell.reset((9,))
-    cell.world.put_bag(PlanarPose(0.0, 0.6), height=0.3, undented=True)
+    cell.world.bodies["bag"].put(PlanarPose(0.0, 0.6), height_m=0.3, undented=True)
     assert cell.rescue()
     pose = cell.truth()
     assert cell.settings.workspace.contains(pose.x, pose.y)
@@ -194,12 +194,12 @@ def test_a_bag_laid_back_keeps_its_dents_unless_it_is_laid_as_new(cell: Simulate
     here = PlanarPose(0.5, 0.1, 0.3)
 
     def laid(*, undented: bool) -> np.ndarray:
-        cell.world.put_bag(here, undented=undented)
+        cell.world.put("bag", here, undented=undented)
         cell.world.advance(1.0)
-        return cell.world.bag_points
+        return cell.world.bodies["bag"].points
 
-    cell.world.reset(here)
-    new = cell.world.bag_points
+    cell.world.reset({"bag": here})
+    new = cell.world.bodies["bag"].points
     from baggie.robot.primitives import pick
 
     assert pick(cell.arm, here, cell.settings.handling).held
@@ -216,7 +216,7 @@ def test_the_bag_sags_when_held(cell: SimulatedWorkcell) -> None:
     from baggie.robot.primitives import pick
 
     assert pick(cell.arm, start, cell.settings.handling).held
-    heights = cell.world.bag_points[:, 2]
+    heights = cell.world.bodies["bag"].points[:, 2]
     assert heights.min() > 0.05  # lifted clear of the table
     assert np.ptp(heights) > 0.05  # and no plate
 

@@ -10,11 +10,11 @@ from baggie.geometry import FloatArray, PlanarPose, rigid, wrap_angle
 from baggie.robot.arm import Arm
 from baggie.robot.primitives import pick, place
 from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M, SimulatedArm, SuctionArm
-from baggie.sim.block_world import BlockWorld
 from baggie.sim.blocks import CUP_RADIUS_M, Block, stand
 from baggie.sim.cell import draw_cell
 from baggie.sim.renderer import HIDDEN_GROUP
 from baggie.sim.tools import HOLDING_N, RIM_POINTS, is_flat
+from baggie.sim.world import World
 from baggie.tasks import TASKS
 
 SIDE_M = 0.04
@@ -27,18 +27,18 @@ GENTLY = replace(BLOCK_HANDLING, carry_m_s=0.2)
 
 
 @pytest.fixture(scope="module")
-def world() -> BlockWorld:
+def world() -> World:
     blocks = [Block(name) for name in BLOCKS] + [Block(WEIGHT, density=HEAVY_KG_M3)]
-    return BlockWorld(draw_cell(0), blocks, [stand()])
+    return World(draw_cell(0), [*blocks, stand()], "cup")
 
 
 @pytest.fixture(scope="module")
-def opened(world: BlockWorld) -> SuctionArm:
+def opened(world: World) -> SuctionArm:
     return SuctionArm(world)
 
 
 @pytest.fixture
-def arm(world: BlockWorld, opened: SuctionArm) -> SuctionArm:
+def arm(world: World, opened: SuctionArm) -> SuctionArm:
     world.reset(scattered())
     opened.reset()
     return opened
@@ -74,7 +74,7 @@ def test_the_arm_with_a_cup_is_an_arm(arm: SuctionArm) -> None:
 @pytest.mark.parametrize(
     "goal", [PlanarPose(0.45, 0.25, 0.5), PlanarPose(0.6, 0.0, -0.8)], ids=["left", "ahead"]
 )
-def test_a_block_is_put_where_asked(world: BlockWorld, arm: SuctionArm, goal: PlanarPose) -> None:
+def test_a_block_is_put_where_asked(world: World, arm: SuctionArm, goal: PlanarPose) -> None:
     start = world.planar_pose("block0")
     assert pick(arm, start, BLOCK_HANDLING).held
     assert world.suction.held == "block0"
@@ -88,7 +88,7 @@ def test_a_block_is_put_where_asked(world: BlockWorld, arm: SuctionArm, goal: Pl
     assert world.planar_pose("block1").distance(scattered()["block1"]) < 1e-4  # nobody touched it
 
 
-def test_nothing_is_held_over_an_edge_or_on_the_table(world: BlockWorld, arm: SuctionArm) -> None:
+def test_nothing_is_held_over_an_edge_or_on_the_table(world: World, arm: SuctionArm) -> None:
     block = PlanarPose(0.55, -0.05)
     world.put("block0", block)
     inside, across = SIDE_M / 2 - CUP_RADIUS_M - 0.003, SIDE_M / 2 - CUP_RADIUS_M + 0.003
@@ -99,17 +99,17 @@ def test_nothing_is_held_over_an_edge_or_on_the_table(world: BlockWorld, arm: Su
 
 
 @pytest.mark.parametrize("gap_m", [0.0002, 0.004])
-def test_nothing_is_held_over_a_gap(world: BlockWorld, arm: SuctionArm, gap_m: float) -> None:
+def test_nothing_is_held_over_a_gap(world: World, arm: SuctionArm, gap_m: float) -> None:
     apart = (SIDE_M + gap_m) / 2
     world.put("block0", PlanarPose(0.55 - apart, -0.05))
     world.put("block1", PlanarPose(0.55 + apart, -0.05))
     assert seal_at(arm, PlanarPose(0.55, -0.05)) is None
 
 
-def test_a_hanging_block_pulls_with_its_weight_until_it_is_let_go(world: BlockWorld, arm: SuctionArm) -> None:
+def test_a_hanging_block_pulls_with_its_weight_until_it_is_let_go(world: World, arm: SuctionArm) -> None:
     assert pick(arm, AWAY, GENTLY).held
     world.advance(0.5)
-    weight = 9.81 * world.blocks[WEIGHT].mass_kg
+    weight = 9.81 * world.things[WEIGHT].mass_kg
     assert world.suction.pull_n() == pytest.approx(weight, rel=0.05)
     arm.move_gripper(0.0)
     assert world.suction.pull_n() == 0.0
@@ -117,7 +117,7 @@ def test_a_hanging_block_pulls_with_its_weight_until_it_is_let_go(world: BlockWo
     assert world.pose(WEIGHT)[2, 3] < 0.05
 
 
-def test_a_jerk_tears_a_heavy_block_off(world: BlockWorld, arm: SuctionArm) -> None:
+def test_a_jerk_tears_a_heavy_block_off(world: World, arm: SuctionArm) -> None:
     assert pick(arm, AWAY, GENTLY).held
     slow = arm.move_to(AWAY.at_height(0.10), 0.2)
     assert world.suction.held == WEIGHT
@@ -126,7 +126,7 @@ def test_a_jerk_tears_a_heavy_block_off(world: BlockWorld, arm: SuctionArm) -> N
     assert arm.gripper_width() == 0.0
 
 
-def test_what_is_too_heavy_for_the_vacuum_stays(world: BlockWorld, arm: SuctionArm) -> None:
+def test_what_is_too_heavy_for_the_vacuum_stays(world: World, arm: SuctionArm) -> None:
     # Twice as much as holds, as a weight that pulls at the block.
     body = world.model.body(WEIGHT).id
     world.data.xfrc_applied[body, 2] = -2 * HOLDING_N
@@ -134,7 +134,7 @@ def test_what_is_too_heavy_for_the_vacuum_stays(world: BlockWorld, arm: SuctionA
     assert world.pose(WEIGHT)[2, 3] == pytest.approx(SIDE_M / 2, abs=0.002)
 
 
-def test_a_pyramid_of_six_stands(world: BlockWorld, arm: SuctionArm) -> None:
+def test_a_pyramid_of_six_stands(world: World, arm: SuctionArm) -> None:
     places = [(-0.042, 0), (0.0, 0), (0.042, 0), (-0.021, 1), (0.021, 1), (0.0, 2)]
     goals = [STAND @ PlanarPose(0.0, along, 0.0) for along, _ in places]
     for name, goal in zip(BLOCKS, goals, strict=True):
@@ -146,7 +146,7 @@ def test_a_pyramid_of_six_stands(world: BlockWorld, arm: SuctionArm) -> None:
         assert world.pose(name)[2, 3] == pytest.approx(0.005 + SIDE_M * (layer + 0.5), abs=0.001)
 
 
-def test_the_same_commands_give_the_same_bytes(world: BlockWorld, arm: SuctionArm) -> None:
+def test_the_same_commands_give_the_same_bytes(world: World, arm: SuctionArm) -> None:
     def run() -> bytes:
         world.reset(scattered())
         arm.reset()
@@ -159,7 +159,7 @@ def test_the_same_commands_give_the_same_bytes(world: BlockWorld, arm: SuctionAr
     assert run() == first
 
 
-def test_the_stand_bears_a_block_and_can_be_put_elsewhere(world: BlockWorld, arm: SuctionArm) -> None:
+def test_the_stand_bears_a_block_and_can_be_put_elsewhere(world: World, arm: SuctionArm) -> None:
     np.testing.assert_allclose(world.planar_pose("stand").xy, STAND.xy)
     world.put("block0", lifted_flat(STAND.x, STAND.y, 0.04))
     world.advance(1.0)
@@ -191,7 +191,7 @@ def rim_points() -> FloatArray:
     return np.asarray(CUP_RADIUS_M * np.c_[np.cos(angles), np.sin(angles)])
 
 
-def test_what_is_fixed_can_be_moved_though_blocks_sleep(world: BlockWorld, arm: SuctionArm) -> None:
+def test_what_is_fixed_can_be_moved_though_blocks_sleep(world: World, arm: SuctionArm) -> None:
     world.advance(1.0)
     assert (world.data.tree_asleep >= 0).any()
     camera = world.model.camera("top").id
@@ -204,12 +204,12 @@ def test_what_is_fixed_can_be_moved_though_blocks_sleep(world: BlockWorld, arm: 
     world.update_fixed()
     world.advance(0.1)
     table.contype[:] = table.conaffinity[:] = 1  # for the tests that come after
-    assert max(world.pose(name)[2, 3] for name in world.blocks) < 0.0
+    assert max(world.pose(name)[2, 3] for name in world.movable) < 0.0
 
 
 def test_a_block_of_several_boxes_is_one_body() -> None:
     (ell,) = TASKS["block-insertion"].blocks
-    world = BlockWorld(draw_cell(0), [ell, Block("block0")])
+    world = World(draw_cell(0), [ell, Block("block0")], "cup")
     body = world.model.body("ell")
     assert body.mass[0] == pytest.approx(ell.mass_kg)
     np.testing.assert_allclose(ell.mass_kg, 600.0 * 0.04 * (0.1**2 - 0.06**2))  # a square without its notch
@@ -239,9 +239,9 @@ def test_a_block_of_several_boxes_is_one_body() -> None:
     assert (world.model.geom_group[geoms] == HIDDEN_GROUP).all()
 
 
-def test_bad_names_are_said_so(world: BlockWorld) -> None:
+def test_bad_names_are_said_so(world: World) -> None:
     with pytest.raises(BaggieError, match="name of its own"):
-        BlockWorld(draw_cell(0), [Block("a"), Block("a")])
+        World(draw_cell(0), [Block("a"), Block("a")], "cup")
     with pytest.raises(BaggieError, match="expected poses of all"):
         world.reset({"block0": AWAY})
     with pytest.raises(BaggieError, match="got 'nothing'"):

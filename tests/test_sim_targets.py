@@ -48,7 +48,7 @@ def cell() -> Iterator[SimulatedWorkcell]:
 def clear(cell: SimulatedWorkcell) -> SimulatedWorkcell:
     """The cell with arm and bag out of the way."""
     cell.reset((1,))
-    cell.world.put_bag(PlanarPose(0.5, 0.8), undented=True)
+    cell.world.put("bag", PlanarPose(0.5, 0.8), undented=True)
     return cell
 
 

@@ -5,7 +5,6 @@ One bag in the running simulation: where its points are, and how to lay it somew
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -123,7 +122,7 @@ class Bag:
 
     @property
     def _cloth(self) -> str:
-        return f"{self.name} cloth"
+        return f"{self.name.replace(' ', '_')}_cloth"  # MuJoCo takes spaces for the end of a name
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> Bag:
@@ -233,14 +232,14 @@ class SoftBody:
     settle_s = 1.0
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, bag: Bag) -> None:
-        self._model, self._data = model, data
-        node = re.compile(re.escape(bag.name) + r"_\d+")
-        nodes = [number for number in range(model.nbody) if node.fullmatch(model.body(number).name)]
-        self._joints = np.array([model.body_jntadr[b] + np.arange(3) for b in nodes])
-        self._home = model.body_pos[nodes].copy()
         import mujoco  # noqa: PLC0415 -- things are plain data where nothing is simulated
 
+        self._model, self._data = model, data
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, bag.name)
+        first = int(model.flex_nodeadr[flex])
+        nodes = model.flex_nodebodyid[first : first + int(model.flex_nodenum[flex])]
+        self._joints = np.array([model.body_jntadr[b] + np.arange(3) for b in nodes])
+        self._home = model.body_pos[nodes].copy()
         start = int(model.flex_vertadr[flex])
         self._vertices = slice(start, start + int(model.flex_vertnum[flex]))
         self._dents = _plastic_state(model, flex)
