@@ -15,8 +15,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from baggie.collect.options import CollectedStyle
 from baggie.errors import LimitError, ReachError
+from baggie.options.choices import CollectedStyle
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.tasks import TASKS
 from baggie.workcell.block_workcell import BlockWorkcell, open_block_workcell

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
+from baggie.options.choices import BLOCK_TASKS
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
 from baggie.tasks import TASKS, Slot, Stage, Task, find_task
 from baggie.tasks.demonstrator import carry, next_action
@@ -228,3 +229,7 @@ def test_what_looks_alike_is_taken_from_left_to_right() -> None:
 def test_an_unknown_task_is_one_line() -> None:
     with pytest.raises(BaggieError, match=r"one of block-pyramid, .*got 'tower'"):
         find_task("tower")
+
+
+def test_the_command_line_knows_the_tasks_there_are():
+    assert tuple(TASKS) == BLOCK_TASKS

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from baggie import seeds
 from baggie.cli.main import main
-from baggie.collect.options import INSTRUCTIONS
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation import closed_loop as module
 from baggie.evaluation.block_episode import BlockBench, BlockEpisode
@@ -26,8 +25,10 @@ from baggie.evaluation.log import read_log
 from baggie.evaluation.subjects import check_taught
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate
+from baggie.options.choices import INSTRUCTIONS
+from baggie.options.evaluating import ReportOptions
 from baggie.policies import DemonstratorPolicy
-from baggie.report.report import ReportOptions, report
+from baggie.report.report import report
 from baggie.tasks import TASKS, find_task
 from baggie.types import Observation, Outcome, PickPlace, Plan
 from streaming import stream_here

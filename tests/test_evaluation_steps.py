@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from baggie.data import DatasetWriter, open_dataset
 from baggie.evaluation import validate as module
 from baggie.evaluation.choices_of_scene import Done, SceneChoices, replayed
-from baggie.evaluation.validate import ValidateOptions, demonstrations, validate
+from baggie.evaluation.validate import demonstrations, validate
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate, turn_error_deg
+from baggie.options.evaluating import ValidateOptions
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.blocks import Block
 from baggie.tasks import TASKS

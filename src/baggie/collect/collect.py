@@ -18,13 +18,14 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import SIMULATED, CollectorCell, OpenCell, what_opens
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.options import INSTRUCTIONS, CollectOptions
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Help, Patience, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
+from baggie.options.choices import INSTRUCTIONS
+from baggie.options.collecting import CollectOptions
 from baggie.pictures import read_picture, recorded_size, same_shape
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.progress import ProgressBar, ask, is_attended, progress_bar

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid
+from baggie.options.collecting import CollectOptions
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
 from baggie.seeds import generator

@@ -6,9 +6,9 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from baggie.collect.options import INSTRUCTIONS
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
+from baggie.options.choices import INSTRUCTIONS
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
 from baggie.tasks import TASKS
 

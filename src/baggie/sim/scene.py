@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from baggie.geometry import FloatArray, rigid
+from baggie.options.choices import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.bag import SECOND_BAG, BagParameters, bag_xml
 from baggie.sim.blocks import CUP_RADIUS_M
@@ -28,7 +29,6 @@ from baggie.sim.printed import (
     add_printed,
 )
 from baggie.types import Image
-from baggie.vision.goal_card import CARD_COLOR
 
 CUP_OFFSET_M = 0.17
 """From the hand's frame to the middle of the cup's rim: what is wide stays above a pyramid of three 4 cm blocks."""

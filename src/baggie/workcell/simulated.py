@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.options.choices import Scenery
 from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.sim.arm import SimulatedArm
 from baggie.sim.arm_world import ArmWorld
@@ -23,7 +24,7 @@ from baggie.sim.bag import BagParameters
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.renderer import CameraRenderer, Film
 from baggie.sim.sensor import Exposure
-from baggie.sim.variety import Scenery, Variety, draw_variety, lay_bags
+from baggie.sim.variety import Variety, draw_variety, lay_bags
 from baggie.sim.world import World
 from baggie.types import Image, Intrinsics, Observation
 from baggie.vision.targets import Target

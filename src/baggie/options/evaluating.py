@@ -1,4 +1,4 @@
-"""What `baggie evaluate` may be asked."""
+"""What can be said about judging a policy, about telling others, and about taking it elsewhere."""
 
 from __future__ import annotations
 
@@ -7,17 +7,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from baggie.errors import UsageError
-from baggie.policies import ColorMaskPolicy, OraclePolicy
-from baggie.ranges import Count, Number, Options, Positive, Seed, Workers
-from baggie.sim.variety import Scenery
-from baggie.tasks import TASKS as BLOCK_TASKS
+from tyro.conf import Positional
 
-TASKS = ("bag-place", *BLOCK_TASKS)
-GoalKind = Literal["virtual", "turned", "card"]
-"""How a goal is given: marked square to the workspace, marked at any angle, or by a card that really lies there."""
+from baggie.errors import UsageError
+from baggie.options.choices import BLOCK_TASKS, COLOR_MASK, INSTRUCTIONS, ORACLE, GoalKind, Scenery
+from baggie.options.ranges import Count, Number, Options, Positive, Seed, Workers
+
 _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
 """What means nothing with blocks: they have a cell and goals of their own, and a task says what counts."""
+
+
+@dataclass(frozen=True)
+class ValidateOptions(Options):
+    """Measure pick and place errors on attempts the policy never learned from.
+
+    Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
+    """
+
+    policy: str
+    """A training run's folder, a Hub id, or `color-mask`."""
+    data: Path
+    """The recording."""
+    out: Path
+    """Where metrics.json, predictions.json and pictures/ go."""
+    last: Count = 50
+    """For a policy that was not trained: how many successful attempts, from the end, to measure it on."""
+    calibration: Path | None = None
+    """For `color-mask`: its image-to-robot map. By default the one in the recording's calibration/ folder."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +89,7 @@ class EvaluateOptions(Options):
     def check(self) -> None:
         """Raise `UsageError` for what cannot be evaluated."""
         for name, chosen, known in (
-            ("task", self.task, TASKS),
+            ("task", self.task, (*INSTRUCTIONS, *BLOCK_TASKS)),
             ("scenery", self.scenery, get_args(Scenery)),
             ("goal", self.goal, get_args(GoalKind)),
         ):
@@ -101,7 +117,7 @@ class EvaluateOptions(Options):
                 f"expected --scenery plain and --goal virtual or turned {given}got {self.scenery} and {self.goal}; "
                 "nobody lays another table or a card there between scenes"
             )
-        if self.policy == OraclePolicy.name:
+        if self.policy == ORACLE:
             raise UsageError(
                 f"expected a policy that looks {given}got {self.policy}: nobody knows the truth there"
             )
@@ -115,8 +131,36 @@ class EvaluateOptions(Options):
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
                     "take --task bag-place"
                 )
-        if self.policy == ColorMaskPolicy.name:
+        if self.policy == COLOR_MASK:
             raise UsageError(
                 f"expected a policy that looks at height maps with --task {self.task}, got {self.policy}, which finds "
                 "bags; give the folder of a transporter run, or oracle"
             )
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Put everything that is known about some runs on one self-contained page.
+
+    Example: baggie report runs/keypoint runs/color-mask --out report.html
+    """
+
+    runs: Positional[tuple[Path, ...]]
+    """Folders that train, validate or evaluate wrote, or folders of such."""
+    out: Path = Path("report.html")
+    """The page."""
+    title: str | None = None
+    """Its heading; by default what it is about."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write a trained policy as files that run without PyTorch.
+
+    Example: baggie export --policy runs/keypoint --out exported/keypoint
+    """
+
+    policy: str
+    """The folder of a training run, or a Hub id."""
+    out: Path
+    """The folder for policy.onnx and config.yaml."""
