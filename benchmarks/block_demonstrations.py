@@ -26,9 +26,9 @@ import baggie.sim  # noqa: F401  # before MuJoCo, which looks for an OpenGL libr
 import mujoco
 
 from baggie.cameras import camera as height_map_camera
+from baggie.registry import TASKS
 from baggie.robot.kinematics import Kinematics
 from baggie.sim.renderer import DepthRenderer
-from baggie.tasks import TASKS
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 from stopwatch import timed
@@ -48,7 +48,7 @@ def main() -> None:
     spent: defaultdict[str, float] = defaultdict(float)
     rows = []
     with stopwatches(spent):
-        for task in TASKS:
+        for task in TASKS.names():
             for pictures in (False, True):
                 cell = open_simulated(0, task, pictures=pictures)
                 demonstrate(cell, number, pictures)  # the first warms up

@@ -34,21 +34,28 @@ from baggie.calibration.pose import UncertainTransform
 from baggie.calibration.world.camera_to_robot import compose
 from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.world.robot_to_world import fit_from_points
-from baggie.commissioning.hand_eye import HandEyeOptions, random_hand_pose, take_hand_eye_views
-from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot_live, grid
-from baggie.commissioning.intrinsics import IntrinsicsOptions, calibrate_intrinsics_live
-from baggie.commissioning.printed import BOARD, HAND_BOARD, T_world_target, points_to_touch
+from baggie.commissioning.hand_eye import random_hand_pose, take_hand_eye_views
+from baggie.commissioning.image_to_robot import calibrate_image_to_robot_live, grid
+from baggie.commissioning.intrinsics import calibrate_intrinsics_live
+from baggie.commissioning.printed import T_world_target, points_to_touch
 from baggie.commissioning.robot_to_world import (
-    CameraToWorldOptions,
-    RobotToWorldOptions,
     calibrate_camera_to_world_live,
     calibrate_robot_to_world_live,
 )
-from baggie.commissioning.session import Bench, LiveOptions, open_bench
+from baggie.commissioning.session import Bench, open_bench
 from baggie.commissioning.simulated_assistant import SimulatedAssistant, board_in_view, lying
 from baggie.errors import BaggieError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, invert_transform, rigid, transform_points
+from baggie.options.calibrating import (
+    CameraToWorldOptions,
+    HandEyeOptions,
+    ImageToRobotOptions,
+    IntrinsicsOptions,
+    LiveOptions,
+    RobotToWorldOptions,
+)
+from baggie.options.choices import BOARD, HAND_BOARD
 from baggie.processes import stream_in_processes
 from baggie.results import provenance, write_results
 from baggie.sim.cell import Cell, draw_cell

@@ -14,8 +14,8 @@ import numpy as np
 import tyro
 
 from baggie.cli.main import main as baggie
-from baggie.commissioning.printed import BOARD
 from baggie.evaluation.pictures import save_jpeg
+from baggie.options.choices import BOARD
 from baggie.pictures import read_picture
 from baggie.types import Image
 from baggie.vision.printing import draw_target

@@ -15,10 +15,10 @@ from typing import Any, get_args
 
 import numpy as np
 
-from baggie.collect.options import CollectedStyle
 from baggie.errors import LimitError, ReachError
+from baggie.options.choices import CollectedStyle
+from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
-from baggie.tasks import TASKS
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--demonstrations", type=int, default=100, help="of each task, in each style")
     number = parser.parse_args().demonstrations
     rows = []
-    for task in TASKS:
+    for task in TASKS.names():
         cell = open_simulated(0, task, pictures=False)
         for style in get_args(CollectedStyle):
             rows.append(

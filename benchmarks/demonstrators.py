@@ -151,13 +151,13 @@ def recordings(options: Options) -> None:
 def planned(options: Options, recording: Path, left_out: int | None) -> dict[str, Any]:
     """One training, without one episode or with all; and which of its plans for that episode count."""
     from baggie import open_dataset  # noqa: PLC0415 -- workers import this file
-    from baggie.learning import TrainOptions, train  # noqa: PLC0415
+    from baggie.learning import TransporterTraining, train  # noqa: PLC0415
 
     attempts = list(open_dataset(recording))
     beside = [attempt for attempt in attempts if attempt.episode != left_out]
     folder = options.runs / f"{recording.name}-{'whole' if left_out is None else f'without-{left_out}'}"
-    chosen = TrainOptions(
-        data=recording, out=folder, policy="transporter", device="cpu",
+    chosen = TransporterTraining(
+        data=recording, out=folder, device="cpu",
         val=0 if left_out is None else 1,
     )  # fmt: skip
     with logged(folder):

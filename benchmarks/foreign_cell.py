@@ -26,13 +26,14 @@ import tyro
 
 import baggie
 from baggie.cameras.camera import check_camera
-from baggie.commissioning.doctor import DoctorOptions, examine
-from baggie.commissioning.printed import HAND_MARKER
+from baggie.commissioning.doctor import examine
 from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
+from baggie.options.choices import HAND_MARKER
+from baggie.options.workcells import DoctorOptions
 from baggie.pictures import read_picture, write_picture
 from baggie.results import provenance, write_json, write_results
 from baggie.robot.contract import check_arm

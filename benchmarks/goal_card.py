@@ -20,9 +20,9 @@ from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.calibrate import calibrate
 from baggie.evaluation.goals import draw_goal
 from baggie.geometry import PlanarPose
+from baggie.options.choices import Scenery
 from baggie.results import provenance, write_results
 from baggie.seeds import EVALUATION
-from baggie.sim.variety import Scenery
 from baggie.vision.goal_card import find_card
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 

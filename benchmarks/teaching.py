@@ -16,7 +16,7 @@ import torch
 from baggie.data import open_dataset
 from baggie.data.summary import goal_of
 from baggie.geometry import FloatArray, apply_homography
-from baggie.learning import TrainOptions, train
+from baggie.learning import KeypointTraining, train
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.split import Split
 from baggie.metrics import yaw_error_deg
@@ -73,7 +73,7 @@ def _open_worker(runs: Path) -> Callable[[Lesson], Iterable[str]]:
 
 def _teach(runs: Path, lesson: Lesson) -> list[str]:
     out = runs / lesson.name
-    options = TrainOptions(
+    options = KeypointTraining(
         data=lesson.recording,
         out=out,
         train=lesson.train,

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from baggie.options.choices import Preset
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import cv2
@@ -27,7 +29,6 @@ import torch
 from baggie.geometry import Grid
 from baggie.learning.loop import flushed_denormals
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
-from baggie.policies.transporter.config import Preset
 from baggie.types import Observation
 from box_scenes import box_demonstrations
 from commands import spread_ms, write_and_show

@@ -19,9 +19,9 @@ import numpy as np
 
 from baggie.errors import ArmError, ReachError
 from baggie.geometry import ToolPose, wrap_angle
-from baggie.robot.kinematics import QUINTIC_PEAK, quintic
 from baggie.robot.arm import ArmInfo
 from baggie.robot.contract import check_arm
+from baggie.robot.kinematics import QUINTIC_PEAK, quintic
 from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from baggie.geometry import FloatArray, planar_pose, transform_points
 from baggie.sim.blocks import Block, distance_m
-from baggie.tasks import Scene
+from baggie.tasks.task import Scene
 from baggie.types import PickPlace
 
 

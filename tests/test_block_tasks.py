@@ -8,16 +8,17 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
+from baggie.registry import TASKS
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
-from baggie.tasks import TASKS, Slot, Stage, Task, find_task
 from baggie.tasks.demonstrator import carry, next_action
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled, filled
+from baggie.tasks.task import Slot, Stage, Task
 from baggie.types import PickPlace
 from ideal_arm import carried, poses_of
 
 MARGIN_M = 0.05
-tasks = st.sampled_from([task for task in TASKS.values() if task.blocks])
+tasks = st.sampled_from([task for task in TASKS.all().values() if task.blocks])
 seeds = st.integers(0, 2**32)
 pyramid = TASKS["block-pyramid"]
 
@@ -40,7 +41,7 @@ def test_a_scene_is_its_seeds(task: Task, seed: int) -> None:
 def test_a_scene_is_without_collisions_in_view_and_in_reach(task: Task, seed: int) -> None:
     scene = task.draw(np.random.default_rng(seed))
     poses = poses_of(scene)
-    outlines = [footprint(thing, poses[thing.name]) for thing in (*scene.blocks, *scene.fixtures)]
+    outlines = [footprint(thing, poses[thing.name]) for thing in scene.things]
     for a, b in combinations(outlines, 2):
         area, _ = cv2.intersectConvexConvex((1000 * a).astype(np.float32), (1000 * b).astype(np.float32))
         assert area == 0.0
@@ -58,9 +59,8 @@ def test_a_scene_is_without_collisions_in_view_and_in_reach(task: Task, seed: in
 def test_a_scene_has_what_its_task_promises(task: Task, seed: int) -> None:
     scene = task.draw(np.random.default_rng(seed))
     assert sum(stage.weight for stage in scene.stages) == pytest.approx(1.0)
-    assert {block.name for block in scene.blocks} <= {block.name for block in task.blocks}
-    assert {each.name for each in scene.fixtures} <= {each.name for each in task.fixtures}
-    assert set(scene.poses) == {thing.name for thing in (*scene.blocks, *scene.fixtures)}
+    assert {thing.name for thing in scene.things} <= {thing.name for thing in task.things}
+    assert set(scene.poses) == {thing.name for thing in scene.things}
     for stage in scene.stages:
         assert len(stage.slots) >= len(stage.blocks) > 0
         assert set(stage.blocks) <= set(scene.poses)
@@ -172,7 +172,7 @@ def test_a_block_of_another_stage_earns_nothing_in_a_slot() -> None:
 
 
 def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
-    scene = find_task("align-box-corner").draw(np.random.default_rng(3))
+    scene = TASKS["align-box-corner"].draw(np.random.default_rng(3))
     poses, (stage,) = poses_of(scene), scene.stages
     (box,) = scene.blocks
     # One of its corners is as near to the marked one as the gap allows, its sides along the bars.
@@ -187,7 +187,7 @@ def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
 
 
 def test_the_l_lies_in_its_outline_with_three_millimetres_of_play_one_way_round() -> None:
-    scene = find_task("block-insertion").draw(np.random.default_rng(3))
+    scene = TASKS["block-insertion"].draw(np.random.default_rng(3))
     poses, (stage,) = poses_of(scene), scene.stages
     (ell,), (outline,) = scene.blocks, scene.fixtures
     (slot,) = stage.slots
@@ -226,5 +226,5 @@ def test_what_looks_alike_is_taken_from_left_to_right() -> None:
 
 
 def test_an_unknown_task_is_one_line() -> None:
-    with pytest.raises(BaggieError, match=r"one of block-pyramid, .*got 'tower'"):
-        find_task("tower")
+    with pytest.raises(BaggieError, match=r"a task among bag-place, .*got 'tower'"):
+        TASKS["tower"]

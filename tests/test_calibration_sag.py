@@ -22,16 +22,12 @@ from baggie.calibration.intrinsics.fit import BoardView, fit_intrinsics
 from baggie.calibration.intrinsics.lens import DISTORTION, USUAL_SAG, LensGuess, fit_lens, settle_lens
 from baggie.calibration.intrinsics.views import corner_noise_px
 from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
-from baggie.commissioning.intrinsics import IntrinsicsOptions, calibrate_intrinsics
+from baggie.commissioning.intrinsics import calibrate_intrinsics
 from baggie.commissioning.printed import points_to_touch
-from baggie.commissioning.robot_to_world import (
-    CameraToWorldOptions,
-    RobotToWorldOptions,
-    calibrate_camera_to_world,
-    calibrate_robot_to_world_live,
-)
+from baggie.commissioning.robot_to_world import calibrate_camera_to_world, calibrate_robot_to_world_live
 from baggie.errors import DataError
 from baggie.geometry import difference, from_vector, invert_transform, rigid, transform_points
+from baggie.options.calibrating import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import Seen, parse_target, with_sag

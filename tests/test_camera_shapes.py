@@ -15,20 +15,21 @@ from hypothesis import strategies as st
 
 from baggie.calibration.files import MAP_FILE, REFERENCE_FILE
 from baggie.collect.collect import collect
-from baggie.collect.options import CollectOptions
 from baggie.data import DatasetWriter, inspect_dataset, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, UsageError
 from baggie.evaluation.closed_loop import evaluate
-from baggie.evaluation.options import EvaluateOptions
-from baggie.evaluation.validate import ValidateOptions, validate
-from baggie.lab.options import LabOptions
-from baggie.learning import TrainOptions, train
+from baggie.evaluation.validate import validate
+from baggie.learning import KeypointTraining, train
+from baggie.options.collecting import CollectOptions
+from baggie.options.evaluating import EvaluateOptions, ExportOptions, ReportOptions, ValidateOptions
+from baggie.options.training import TRAININGS
+from baggie.options.workcells import LabOptions
 from baggie.pictures import LONGEST_RECORDED, recorded_size, same_shape, write_picture
 from baggie.policies import checkpoint, load_policy
-from baggie.policies.export import ExportOptions, export
-from baggie.report.report import ReportOptions, report
+from baggie.policies.export import export
+from baggie.report.report import report
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.types import Goal
 from baggie.workcell.config import open_workcell
@@ -55,9 +56,9 @@ def open_shape(_number, size):
     return FakeCell(size=size, scatter_m=0.002)
 
 
-def options(data, out, **changes):
+def options(data, out, policy="keypoint", **changes):
     given = {"train": 6, "val": 2, "steps": 2, "device": "cpu", "save_every_s": 1e3}
-    return TrainOptions(data=data, out=out, **(given | changes))
+    return TRAININGS[policy](data=data, out=out, **(given | changes))
 
 
 # --- shapes
@@ -311,7 +312,7 @@ def test_a_night_in_the_simulator_is_worth_as_much_in_every_shape(size, tmp_path
     workcell, night, run = tmp_path / "cell.yaml", tmp_path / "night", tmp_path / "run"
     workcell.write_text(f"cell: 7\ncamera: {{width: {size[0]}, height: {size[1]}}}\n")
     collect(CollectOptions(out=night, attempts=75, cell=7, workcell=workcell))
-    train(TrainOptions(data=night, out=run, policy="keypoint", train=50, val=15, device="cpu"))
+    train(KeypointTraining(data=night, out=run, train=50, val=15, device="cpu"))
     metrics = validate(ValidateOptions(str(run), night, run / "validation"))
     below("pick (cm)", metrics["truth"]["pick_error_cm"]["mean"], 0.5)
     metrics = evaluate(EvaluateOptions(str(run), run / "evaluation", episodes=6, cell=7))

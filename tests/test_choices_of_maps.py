@@ -25,15 +25,16 @@ from baggie.evaluation.scored_plans import (
     with_what_was_carried,
     would_count,
 )
-from baggie.evaluation.validate import ValidateOptions, validate
+from baggie.evaluation.validate import validate
 from baggie.geometry import Grid, PlanarPose, planar_pose, wrap_angle
 from baggie.learning.demonstrations import carried_in
 from baggie.learning.measure import measure
 from baggie.learning.split import with_after
 from baggie.learning.symmetry import turn_onto
 from baggie.metrics import action_errors, success_rate
+from baggie.options.evaluating import ValidateOptions
+from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
-from baggie.tasks import TASKS
 from baggie.tasks.demonstrator import varied_action
 from baggie.tasks.scoring import RavensScore
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan

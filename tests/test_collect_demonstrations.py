@@ -14,7 +14,7 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.choices_of_scene import choices_of_scene
 from baggie.geometry import Grid
-from baggie.tasks import TASKS
+from baggie.registry import TASKS
 from baggie.types import PickPlace
 from streaming import stream_here
 

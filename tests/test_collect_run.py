@@ -24,12 +24,12 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.cell import what_opens
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
-from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Help, Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
+from baggie.options.collecting import CollectOptions
 from fake_workcell import open_fake, open_faulty, open_unhelped
 from streaming import stream_here
 

@@ -17,9 +17,8 @@ from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.cli.main import main
 from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.check import CheckOptions, check_live
+from baggie.commissioning.check import check_live
 from baggie.commissioning.image_to_robot import (
-    ImageToRobotOptions,
     calibrate_image_to_robot_live,
     check_command,
     grid,
@@ -27,10 +26,12 @@ from baggie.commissioning.image_to_robot import (
     parse_marker,
     visit,
 )
-from baggie.commissioning.printed import BOARD, HAND_MARKER, NAMED, T_world_target, points_to_touch
+from baggie.commissioning.printed import NAMED, T_world_target, points_to_touch
 from baggie.commissioning.session import ViewFolder, open_bench
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import difference, invert_transform, transform_points
+from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
+from baggie.options.choices import BOARD, HAND_MARKER
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import inspect
 import re
 import shlex
 from collections.abc import Iterator
@@ -12,15 +11,14 @@ from contextlib import redirect_stdout, suppress
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import get_args
 from unittest.mock import MagicMock
 
 import pytest
 import yaml
 
-from baggie.cli import calibrate as cli_calibrate
-from baggie.cli import calibrate as cli_workcell
 from baggie.cli import main as cli
+from baggie.cli.verbs import BAGGIE, Group
+from baggie.options.training import TRAININGS
 from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
 from docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
 from docs_stand_ins import GIVEN, taken_for_granted
@@ -51,12 +49,7 @@ def of_kind(kind: str) -> list[Block]:
 @pytest.fixture
 def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Verbs read their words and do nothing."""
-    for module in (cli, cli_calibrate, cli_workcell):
-        monkeypatch.setattr(module, "show", MagicMock())
-        for name, value in vars(module).items():
-            if inspect.isfunction(value) and not value.__module__.startswith("baggie.cli.main"):
-                monkeypatch.setattr(module, name, MagicMock())
-    monkeypatch.setattr("baggie.lab.serve.serve_lab", MagicMock())
+    monkeypatch.setattr(cli, "named", MagicMock())
 
 
 def understood(command: str) -> bool:
@@ -128,9 +121,10 @@ def help_of(verb: str) -> str:
     said = StringIO()
     with redirect_stdout(said), suppress(SystemExit):
         cli.main([*verb.split(), "--help"])
-    parts = {"calibrate": cli_calibrate.Calibration, "workcell": cli_workcell.What}.get(verb)
-    names = [part.__metadata__[0].name for part in get_args(parts)]
-    return said.getvalue() + "".join(help_of(f"{verb} {name}") for name in names)
+    told = BAGGIE.verbs.get(verb)
+    parts = [f"{verb} {name}" for name in told.verbs] if isinstance(told, Group) else []
+    parts += [f"train --policy {name}" for name in TRAININGS.names()] if verb == "train" else []
+    return said.getvalue() + "".join(help_of(part) for part in parts)
 
 
 def inline(page: Path) -> Iterator[str]:
@@ -141,11 +135,11 @@ def inline(page: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_verbs_and_options_in_the_text_are_there(page: Path) -> None:
-    known = set(re.findall(r"--[a-z][a-z-]*", "".join(help_of(verb) for verb in cli.VERBS)))
+    known = set(re.findall(r"--[a-z][a-z-]*", "".join(help_of(verb) for verb in BAGGIE.verbs)))
     for code in inline(page):
         words = code.split()
         if words[0] == "baggie" and len(words) > 1 and re.fullmatch(r"[a-z-]+", words[1]):
-            assert words[1] in cli.VERBS, code
+            assert words[1] in BAGGIE.verbs, code
             options = {word for word in words if word.startswith("--")}
             assert options <= set(re.findall(r"--[a-z][a-z-]*", help_of(words[1]))), code
         elif words[0].startswith("--"):

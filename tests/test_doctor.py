@@ -10,10 +10,11 @@ import pytest
 from baggie.cli.main import main
 from baggie.commissioning import health
 from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.doctor import DoctorOptions, Finding, examine, require_healthy
+from baggie.commissioning.doctor import Finding, examine, require_healthy
 from baggie.commissioning.health import HELPED
 from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.geometry import ToolPose
+from baggie.options.workcells import DoctorOptions
 from baggie.sim.arm import SimulatedArm
 from baggie.sim.arm_world import ArmWorld
 from baggie.types import Observation

@@ -54,6 +54,15 @@ def test_every_environment_runs_in_processes_of_its_own_and_a_fork_of_who_render
     assert 'context="spawn"' in line
 
 
+@pytest.mark.parametrize("order", ["baggie, gymnasium", "gymnasium, baggie", "gymnasium.envs, baggie"])
+def test_the_environments_are_known_in_whatever_order_things_are_imported(order: str) -> None:
+    program = (
+        f"import {order}; import gymnasium; print(*(name for name in gymnasium.registry if 'baggie' in name))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert sorted(done.stdout.split()) == IDS
+
+
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_what_is_written_into_an_observation_or_a_picture_stays_there(name: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)

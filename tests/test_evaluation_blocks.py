@@ -25,14 +25,15 @@ from baggie.evaluation.log import read_log
 from baggie.evaluation.subjects import check_taught
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate
+from baggie.options.evaluating import ReportOptions
 from baggie.policies import DemonstratorPolicy
-from baggie.report.report import ReportOptions, report
-from baggie.tasks import TASKS, find_task
+from baggie.registry import TASKS
+from baggie.report.report import report
 from baggie.types import Observation, Outcome, PickPlace, Plan
 from streaming import stream_here
 from test_report import Page
 
-TASK = find_task("block-pyramid")
+TASK = TASKS["block-pyramid"]
 GRID = Grid(x=(0.3, 0.4), y=(-0.1, 0.1), pixel_m=0.005)
 SLOT = PlanarPose(0.35, 0.05)
 
@@ -294,8 +295,8 @@ def test_a_step_says_what_it_has_done(rewards):
     assert json.loads(json.dumps(BlockEpisode.from_json(line).to_json())) == line
 
 
-FROM_ABOVE_TASKS = {name for name, task in TASKS.items() if task.view == "height-map"}
-PYRAMID, BAG = TASK.instruction, find_task("bag-place").instruction
+FROM_ABOVE_TASKS = {name for name, task in TASKS.all().items() if task.view == "height-map"}
+PYRAMID, BAG = TASK.instruction, TASKS["bag-place"].instruction
 FROM_ABOVE = {"policy": "transporter", "model": {"camera": None}}
 BY_CAMERA = {"policy": "transporter", "model": {"camera": {"matrix": []}}}
 
@@ -317,7 +318,7 @@ def test_a_policy_is_judged_on_what_it_was_taught(tmp_path, capsys, config, inst
     run.mkdir()
     training = {"training": {"task": instruction}} if instruction else {}
     (run / "config.yaml").write_text(yaml.safe_dump(config | training))
-    for task in TASKS:
+    for task in TASKS.names():
         if task in tasks:
             check_taught(str(run), task)
             continue

@@ -20,13 +20,13 @@ from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_log
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.setup import Bench, card_map
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.options.choices import CARD_COLOR
+from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
-from baggie.vision.goal_card import CARD_COLOR
 from synthetic import WORKSPACE, intrinsics, to_pixels
 from test_evaluation_closed_loop import FakeCell, in_process, open_perfect, options, timeless  # noqa: F401
 

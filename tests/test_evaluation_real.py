@@ -21,10 +21,11 @@ from baggie.evaluation.log import read_log
 from baggie.evaluation.opening import SeenCell, open_real_bench
 from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
+from baggie.options.evaluating import ReportOptions
 from baggie.policies import ColorMaskPolicy, KeypointPolicy
 from baggie.policies.keypoint.network import KeypointNet
 from baggie.policies.keypoint.plan import View
-from baggie.report.report import ReportOptions, report
+from baggie.report.report import report
 from baggie.types import Outcome
 from baggie.workcell.workcell import Calibrations, WorkcellSettings
 from fake_workcell import FakeCell

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from baggie.data import DatasetWriter, open_dataset
 from baggie.evaluation import validate as module
 from baggie.evaluation.choices_of_scene import Done, SceneChoices, replayed
-from baggie.evaluation.validate import ValidateOptions, demonstrations, validate
+from baggie.evaluation.validate import demonstrations, validate
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate, turn_error_deg
+from baggie.options.evaluating import ValidateOptions
+from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.blocks import Block
-from baggie.tasks import TASKS
 from baggie.tasks import demonstrator as varied
 from baggie.tasks.demonstrator import next_action, varied_action
 from baggie.tasks.scoring import RavensScore
@@ -208,7 +209,7 @@ def played(scene, seed):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.sampled_from([task for task in TASKS.values() if task.blocks]), st.integers(0, 2**32))
+@given(st.sampled_from([task for task in TASKS.all().values() if task.blocks]), st.integers(0, 2**32))
 def test_of_every_style_all_counts_that_earned_something_and_nothing_that_was_wasted(task, seed):
     scene = task.draw(np.random.default_rng(seed))
     with patch.object(varied, "WASTED", 0.3):

@@ -12,10 +12,11 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as module
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
-from baggie.evaluation.validate import ValidateOptions, demonstrations, held_out, validate
+from baggie.evaluation.validate import demonstrations, held_out, validate
 from baggie.geometry import PlanarPose
-from baggie.learning import TrainOptions, train
+from baggie.learning import KeypointTraining, train
 from baggie.metrics import success_rate
+from baggie.options.evaluating import ValidateOptions
 from baggie.types import PickPlace, Plan
 from synthetic import TASK, make_attempt
 
@@ -126,7 +127,7 @@ def test_results_of_one_kind_are_not_written_over_those_of_another(tmp_path, rec
     (tmp_path / "out").mkdir()
     (tmp_path / "out/evaluation.json").write_text("{}")
     with pytest.raises(BaggieError, match="out holds an evaluation"):
-        train(TrainOptions(recording, tmp_path / "out"))
+        train(KeypointTraining(recording, tmp_path / "out"))
 
 
 def test_attempts_without_a_plan_are_counted_and_come_first(tmp_path, recording, monkeypatch):

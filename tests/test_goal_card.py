@@ -10,9 +10,10 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.errors import BaggieError, CalibrationError
 from baggie.geometry import PlanarPose
+from baggie.options.choices import CARD_COLOR
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
-from baggie.vision.goal_card import CARD_COLOR, find_card, measure_color
+from baggie.vision.goal_card import find_card, measure_color
 from synthetic import intrinsics, to_pixels
 
 WOOD, RED, GREEN_BAG = (150, 112, 78), (190, 40, 35), (60, 150, 40)

@@ -20,10 +20,12 @@ from hypothesis import strategies as st
 import baggie
 from baggie.cameras.camera import Camera
 from baggie.cli.main import main
-from baggie.commissioning.check import CheckOptions, _object_height_m
-from baggie.commissioning.doctor import DoctorOptions, examine
+from baggie.commissioning.check import _object_height_m
+from baggie.commissioning.doctor import examine
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.options.calibrating import CheckOptions
+from baggie.options.workcells import DoctorOptions
 from baggie.robot.arm import ArmInfo
 from baggie.robot.handling_rules import ROOM_M, SIMULATED_HANDLING, Thing, contradiction, handled
 from baggie.robot.limits import GuardedArm

@@ -29,13 +29,15 @@ import baggie.lab.robot as robot_module
 from baggie.cameras.camera import Camera, check_camera
 from baggie.cameras.opening import open_camera
 from baggie.collect import CollectOptions, collect
-from baggie.commissioning.check import CheckOptions, check_calibration
-from baggie.commissioning.doctor import DoctorOptions, examine
-from baggie.commissioning.image_to_robot import ImageToRobotOptions, calibrate_image_to_robot
+from baggie.commissioning.check import check_calibration
+from baggie.commissioning.doctor import examine
+from baggie.commissioning.image_to_robot import calibrate_image_to_robot
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError, StuckError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.lab.robot import TICKS_PER_STEP, LabRobot, Trail, pose_difference
 from baggie.lab.web import LabControl
+from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
+from baggie.options.workcells import DoctorOptions
 from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
 from baggie.sim.world import World

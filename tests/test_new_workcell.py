@@ -11,9 +11,10 @@ import pytest
 
 import baggie
 from baggie.cameras.camera import CameraSettings, Kind
-from baggie.commissioning.new_workcell import ARMS, NewWorkcellOptions, new_workcell
+from baggie.commissioning.new_workcell import ARMS, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
+from baggie.options.workcells import NewWorkcellOptions
 from baggie.workcell.workcell_file import (
     ArmEntry,
     Bag,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -13,10 +13,12 @@ import pytest
 from annotated_types import Interval
 
 from baggie.cli import main as cli
+from baggie.cli.verbs import BAGGIE, Group, Verb
 from baggie.commissioning.image_to_robot import parse_marker
 from baggie.errors import BaggieError, UsageError
-from baggie.lab.options import LabOptions
-from baggie.ranges import Count, Options, Point, Share, hints
+from baggie.options.ranges import Count, Options, Point, Share, hints
+from baggie.options.workcells import LabOptions
+from baggie.registry import named
 from baggie.vision.targets import parse_target
 
 
@@ -36,18 +38,18 @@ class Option:
         return "--" + self.name.rstrip("_").replace("_", "-")
 
 
-def commands() -> Iterator[tuple[tuple[str, ...], Callable[..., None]]]:
-    """Every command there is, `calibrate check` and the like included."""
-    for verb, function in cli.VERBS.items():
-        inner = [
-            (each.name, each.constructor_factory())
-            for hint in get_type_hints(function, include_extras=True).values()
-            for alternative in get_args(hint)
-            if get_origin(alternative) is Annotated
-            for each in alternative.__metadata__
-            if hasattr(each, "constructor_factory")
-        ]
-        yield from [((verb, name), made_by) for name, made_by in inner] or [((verb,), function)]
+def commands(
+    told: Verb | Group = BAGGIE, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], type]]:
+    """Every command there is with its options, `calibrate check` and the like included."""
+    if isinstance(told, Group):
+        for name, verb in told.verbs.items():
+            yield from commands(verb, (*words, name))
+    elif told.choice is None:
+        yield words, named(told.options)
+    else:
+        for name, options in named(told.options).all().items():
+            yield (*words, f"--{told.choice}", name), options
 
 
 def numeric(hint: Any) -> bool:
@@ -64,14 +66,12 @@ def numeric(hint: Any) -> bool:
 def all_options() -> list[Option]:
     """Every number that any command can be given."""
     found = []
-    for words, function in commands():
-        for name, hint in get_type_hints(function, include_extras=True).items():
-            if is_dataclass(hint):
-                assert issubclass(hint, Options) or not any(map(numeric, get_type_hints(hint).values())), hint
-                known = hints(hint) if issubclass(hint, Options) else {}
-                found += [Option(words, hint, inner, its) for inner, its in known.items() if numeric(its)]
-            else:
-                assert not numeric(hint), f"{words}: {name} is in no dataclass of options"
+    for words, options in commands():
+        assert issubclass(options, Options) or not any(map(numeric, get_type_hints(options).values())), (
+            options
+        )
+        known = hints(options) if issubclass(options, Options) else {}
+        found += [Option(words, options, name, its) for name, its in known.items() if numeric(its)]
     return found
 
 
@@ -116,7 +116,7 @@ def in_place(hint: Any, leaf: Any, number: float) -> Any:
 def test_there_are_numbers_to_try() -> None:
     tried = {(*option.words, option.flag) for option in OPTIONS}
     assert {
-        ("train", "--steps"),
+        ("train", "--policy", "keypoint", "--steps"),
         ("lab", "--camera-port"),
         ("evaluate", "--radius-cm"),
         ("calibrate", "check", "--points"),
@@ -146,7 +146,11 @@ def test_the_command_says_so_in_one_line_and_ends_with_2(
     first, *_ = leaves(option.hint)
     given = in_place(option.hint, first, wrong(first)[0])
     numbers = map(str, given if isinstance(given, tuple) else [given])
-    flags = [each.name for each in fields(option.made_by) if each.default is MISSING and each.name != "data"]
+    flags = [
+        each.name
+        for each in fields(option.made_by)
+        if each.default is MISSING and each.name not in ("data", "folder")
+    ]
     needed = ["x"] * (option.words[0] in {"inspect", "import-ravens"})
     needed += ["--data", "x"] * (option.words[0] in {"train", "validate"})
     needed += [word for name in flags for word in (f"--{name}", "x")]

@@ -16,7 +16,8 @@ from baggie.cli.main import main
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import Grid, wrap_angle
-from baggie.ravens.convert import ImportOptions, import_ravens, planar
+from baggie.options.collecting import ImportOptions
+from baggie.ravens.convert import import_ravens, planar
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensFolder, RavensPose, write_episode
 from baggie.types import Attempt
@@ -38,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def recording(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("recording") / "out"
-    import_ravens(folder, ImportOptions(out))
+    import_ravens(ImportOptions(folder, out))
     return out
 
 
@@ -103,16 +104,16 @@ def test_stopped_it_goes_on(
         count += 1
         append(self, attempt)
 
-    options = ImportOptions(tmp_path / "out", **SMALL)  # type: ignore[arg-type]
+    options = ImportOptions(folder, tmp_path / "out", **SMALL)  # type: ignore[arg-type]
     monkeypatch.setattr(DatasetWriter, "append", stopping)
     with pytest.raises(KeyboardInterrupt) as caught:
-        import_ravens(folder, options)
+        import_ravens(options)
     monkeypatch.undo()
     command = str(caught.value).split("go on with: ")[1].split()
     assert command[:2] == ["baggie", "import-ravens"]
     assert main(command[1:]) == 0
-    import_ravens(folder, options)  # again changes nothing
-    import_ravens(folder, dataclasses.replace(options, out=tmp_path / "at-once"))
+    import_ravens(options)  # again changes nothing
+    import_ravens(dataclasses.replace(options, out=tmp_path / "at-once"))
     one, other = open_dataset(tmp_path / "out"), open_dataset(tmp_path / "at-once")
     assert len(one) == 2 * STEPS
     for a, b in zip(one, other, strict=True):
@@ -139,9 +140,13 @@ def test_the_verb(
     assert not (tmp_path / "other").exists()
 
 
+def test_pictures_are_over_ravens_own_table_unless_told_otherwise(recording: Path) -> None:
+    assert open_dataset(recording).grid == Grid()
+
+
 def test_what_cannot_be_imported_is_one_line(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(BaggieError, match=r"a whole number of 0\.3 m pixels"):
-        import_ravens(folder, ImportOptions(tmp_path / "out", pixel_m=0.3))
+        import_ravens(ImportOptions(folder, tmp_path / "out", pixel_m=0.3))
     assert not (tmp_path / "out").exists()
     episode = ravens_scene.episode()
     tilt = RavensPose((0.5, 0.0, 0.04), (math.sin(0.3), 0.0, 0.0, math.cos(0.3)))
@@ -149,7 +154,7 @@ def test_what_cannot_be_imported_is_one_line(folder: Path, tmp_path: Path) -> No
     tilted = dataclasses.replace(episode, actions=(episode.actions[0], second))
     write_episode(tmp_path / "tilted", tilted)
     with pytest.raises(DataError, match=r"is tilted by 34\.4 degrees"):
-        import_ravens(tmp_path / "tilted", ImportOptions(tmp_path / "out"))
+        import_ravens(ImportOptions(tmp_path / "tilted", tmp_path / "out"))
     write_episode(tmp_path / "tilted", dataclasses.replace(episode, seed=9001))
     with pytest.raises(DataError, match="number of its own, got 2 of 0"):
-        import_ravens(tmp_path / "tilted", ImportOptions(tmp_path / "another"))
+        import_ravens(ImportOptions(tmp_path / "tilted", tmp_path / "another"))

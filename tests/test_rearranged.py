@@ -10,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from baggie.errors import BaggieError
 from baggie.geometry import apply_homography
 from baggie.learning.moved_maps import MovedMaps, Moves
-from baggie.learning.options import TrainOptions
 from baggie.learning.rearranged import Scene, rearranged
 from baggie.vision.carried import Things
 from box_scenes import GRID, box_demonstrations
@@ -144,8 +142,3 @@ def test_what_is_drawn_rearranged_breaks_up_what_lay_together():
     places = np.concatenate([sample.places for sample in drawn])
     assert ((places > 0) & (places < [columns, rows])).all()
     assert all(abs(turn) <= 2 * math.pi for turn in turns)
-
-
-def test_other_policies_are_not_rearranged(tmp_path):
-    with pytest.raises(BaggieError, match="expected no --rearranged"):
-        TrainOptions(tmp_path, tmp_path / "run", rearranged=0.5).check()

@@ -18,9 +18,10 @@ from baggie.data import DatasetWriter
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as validation
 from baggie.evaluation.closed_loop import evaluate
-from baggie.evaluation.validate import ValidateOptions, validate
+from baggie.evaluation.validate import validate
 from baggie.geometry import PlanarPose
-from baggie.report.report import ReportOptions, report
+from baggie.options.evaluating import ReportOptions, ValidateOptions
+from baggie.report.report import report
 from baggie.results import provenance, write_json, write_results
 from synthetic import TASK, make_attempt
 from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture

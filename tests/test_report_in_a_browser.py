@@ -10,7 +10,8 @@ from threading import Thread
 
 import pytest
 
-from baggie.report.report import ReportOptions, report
+from baggie.options.evaluating import ReportOptions
+from baggie.report.report import report
 from test_report import fused, in_process, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

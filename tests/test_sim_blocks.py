@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, rigid, wrap_angle
+from baggie.registry import TASKS
 from baggie.robot.arm import Arm
 from baggie.robot.primitives import pick, place
 from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M, SimulatedArm, SuctionArm
@@ -15,7 +16,6 @@ from baggie.sim.cell import draw_cell
 from baggie.sim.renderer import HIDDEN_GROUP
 from baggie.sim.tools import HOLDING_N, RIM_POINTS, is_flat
 from baggie.sim.world import World
-from baggie.tasks import TASKS
 
 SIDE_M = 0.04
 BLOCKS = [f"block{number}" for number in range(6)]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
+from baggie.options.choices import Scenery
 from baggie.sim.bag import Bag, Shape
 from baggie.sim.cell import APART, GOAL_CARD_HUE, PADDLE_HUE, PICTURE_SIZE, draw_cell, hue_distance, hue_of
 from baggie.sim.variety import (
@@ -17,7 +18,6 @@ from baggie.sim.variety import (
     OBSTACLE_M,
     UNSEEN_HUES,
     VARIED_HUES,
-    Scenery,
     Variety,
     draw_variety,
     lay_bags,

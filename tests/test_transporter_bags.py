@@ -16,7 +16,7 @@ from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.learning import TrainOptions, train
+from baggie.learning import TransporterTraining, train
 from baggie.learning.demonstrations import (
     read_demonstrations,
     rectified,
@@ -68,9 +68,9 @@ def rectifier(recording):
     return rectifier_for(ATTEMPTS, recording)
 
 
-def options(data: Path, out: Path, **changes) -> TrainOptions:
-    given = {"policy": "transporter", "train": 8, "val": 2, "steps": 2, "device": "cpu", "save_every_s": 1e3}
-    return TrainOptions(data=data, out=out, **(given | changes))
+def options(data: Path, out: Path, **changes) -> TransporterTraining:
+    given = {"train": 8, "val": 2, "steps": 2, "device": "cpu", "save_every_s": 1e3}
+    return TransporterTraining(data=data, out=out, **(given | changes))
 
 
 def truth(attempt: Attempt) -> np.ndarray:

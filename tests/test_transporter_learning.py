@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.errors import BaggieError, DataError
+from baggie.errors import DataError
 from baggie.geometry import Grid, apply_homography, wrap_angle
-from baggie.learning import TrainOptions, train
+from baggie.learning import TransporterTraining, train
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.measure import measure
 from baggie.learning.moved_maps import MovedMaps, Moves, random_move, rigid_move
@@ -36,9 +36,9 @@ def _one_thread():
     torch.set_num_threads(1)
 
 
-def options(out: Path, **changes) -> TrainOptions:
-    given = {"policy": "transporter", "train": 3, "val": 1, "steps": 4, "device": "cpu", "save_every_s": 1e3}
-    return TrainOptions(data=Path("drawn"), out=out, **(given | changes))
+def options(out: Path, **changes) -> TransporterTraining:
+    given = {"train": 3, "val": 1, "steps": 4, "device": "cpu", "save_every_s": 1e3}
+    return TransporterTraining(data=Path("drawn"), out=out, **(given | changes))
 
 
 # --- labels
@@ -431,19 +431,3 @@ def test_unfit_demonstrations_are_one_clear_line():
         with pytest.raises(DataError, match=message) as error:
             make()
         assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"backbone": "resnet18"}, "--backbone with --policy transporter"),
-        ({"new_looks": 0.5}, "--new-looks with --policy transporter"),
-        ({"policy": "keypoint", "symmetry": 4}, "--symmetry with --policy keypoint"),
-        ({"policy": "regression", "preset": "paper"}, "--preset with --policy regression"),
-        ({"symmetry": -2}, "expected --symmetry to be a number from 0"),
-    ],
-)
-def test_options_that_do_not_go_together_are_one_clear_line(tmp_path, changes, message):
-    with pytest.raises(BaggieError, match=message) as error:
-        train(options(tmp_path, **changes), ATTEMPTS)
-    assert "\n" not in str(error.value)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.geometry import PlanarPose, planar_pose, wrap_angle
+from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
 from baggie.sim.blocks import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
-from baggie.tasks import TASKS, Task
 from baggie.tasks import demonstrator as module
 from baggie.tasks.demonstrator import (
     STRAY_M,
@@ -24,9 +24,10 @@ from baggie.tasks.demonstrator import (
 )
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled
+from baggie.tasks.task import Task
 from ideal_arm import away, carried, poses_of
 
-BLOCK_TASKS = [task for task in TASKS.values() if task.blocks]
+BLOCK_TASKS = [task for task in TASKS.all().values() if task.blocks]
 tasks = st.sampled_from(BLOCK_TASKS)
 seeds = st.integers(0, 2**32)
 DISC = np.concatenate(

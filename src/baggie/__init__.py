@@ -10,8 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import gymnasium
-
+from baggie.gymnasium_ids import register_environments
 from baggie.moved import keep_old_names
 
 if TYPE_CHECKING:
@@ -22,14 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Policy", "load_policy", "open_dataset", "open_workcell"]
 
 keep_old_names()
-gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
-for _name, _task in (
-    ("BlockPyramid", "block-pyramid"),
-    ("PlaceRedInGreen", "place-red-in-green"),
-    ("AlignBoxCorner", "align-box-corner"),
-    ("BlockInsertion", "block-insertion"),
-):
-    gymnasium.register(f"baggie/{_name}-v0", entry_point="baggie.envs:BlockEnv", kwargs={"task": _task})
+register_environments()
 
 # PyTorch, MuJoCo and pyarrow take seconds to import: each is loaded when it is first needed.
 

@@ -23,8 +23,6 @@ _NEWTON_STEPS = 30
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
 
-DrawnStyle = Literal["outline", "solid"]
-"""How a goal is drawn or printed."""
 GoalStyle = Literal["outline", "solid", "card"]
 """How a goal shows in the picture: as a drawn outline or patch, or as a card that really lies there, undrawn."""
 Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled"]

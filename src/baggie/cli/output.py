@@ -3,13 +3,49 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from baggie.errors import WriteError
+
+if TYPE_CHECKING:
+    from baggie.commissioning.doctor import Finding
 
 
 def show(result: Mapping[str, Any], as_json: bool) -> None:
-    """Print the result of a command."""
+    """Print the result of a command; its warnings where nobody overlooks them, too."""
+    for warning in result.get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
     print(json.dumps(result, default=str) if as_json else "\n".join(_lines(result)))
+
+
+def show_recording(found: tuple[Mapping[str, Any], WriteError | None], as_json: bool) -> None:
+    """Print what is in a recording. Raises what there was in the way of its contact sheet."""
+    summary, trouble = found
+    show(summary, as_json)
+    if trouble is not None:
+        raise trouble
+
+
+def show_page(page: Path, as_json: bool) -> None:
+    """Print where a report is."""
+    show({"report": str(page)}, as_json)
+
+
+def show_findings(findings: Sequence[Finding], as_json: bool) -> None:
+    """Print what the doctor found. Raises `BaggieError` where a check has failed."""
+    from baggie.commissioning.doctor import as_table, require_healthy  # noqa: PLC0415 -- the doctor's verb alone
+
+    if as_json:
+        show({"findings": [asdict(finding) for finding in findings]}, as_json)
+    else:
+        Console().print(as_table(findings))
+    require_healthy(findings)
 
 
 def _lines(result: Mapping[str, Any], indent: str = "") -> list[str]:

@@ -1,6 +1,6 @@
 """The autonomous collector: a state machine that makes demonstrations by itself."""
 
 from baggie.collect.collect import collect
-from baggie.collect.options import CollectOptions
+from baggie.options.collecting import CollectOptions
 
 __all__ = ["CollectOptions", "collect"]

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from baggie.cameras.camera import Camera
-from baggie.collect.options import CollectedScenery, CollectOptions
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
+from baggie.options.choices import CollectedScenery
+from baggie.options.collecting import CollectOptions
 from baggie.robot.arm import Arm
 from baggie.types import Observation, Outcome, PickPlace
 from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings

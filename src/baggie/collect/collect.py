@@ -18,17 +18,17 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import SIMULATED, CollectorCell, OpenCell, what_opens
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Help, Patience, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
+from baggie.options.collecting import CollectOptions
 from baggie.pictures import read_picture, recorded_size, same_shape
 from baggie.processes import ask_parent, stream_in_processes
 from baggie.progress import ProgressBar, ask, is_attended, progress_bar
-from baggie.tasks import find_task
+from baggie.registry import TASKS
 from baggie.types import Attempt
 from baggie.workcell.workcell import Watch
 
@@ -64,7 +64,7 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     try:
         with DatasetWriter(
             options.out,
-            task=find_task(options.task).instruction,
+            task=TASKS[options.task].instruction,
             robot_type=robot,
             picture_size=lambda: recorded_size(calibrated().camera.size),
             collection=collection,
@@ -179,7 +179,7 @@ def _worker(
     options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot, size: tuple[int, int]
 ) -> Callable[[], Sit]:
     """What a worker process begins with, to record pictures of `size`, pixels."""
-    recording = Recording(find_task(options.task).instruction, options.seed, options.cell, size)
+    recording = Recording(TASKS[options.task].instruction, options.seed, options.cell, size)
     reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
     return functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
 

@@ -12,15 +12,16 @@ import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.collect.options import CollectOptions
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid
+from baggie.options.collecting import CollectOptions
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar
+from baggie.registry import TASKS
 from baggie.seeds import generator
-from baggie.tasks import Task, find_task
+from baggie.tasks.task import Task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 
 _NOT_LOOKED_FOR = np.full((4, 2), np.nan)
@@ -136,7 +137,7 @@ def record_demonstrations(
     Raises `BaggieError` when the disk is full or the folder holds another recording, and `KeyboardInterrupt`, with how
     to go on as its message, when stopped; what was recorded before stays, and the same command goes on from there.
     """
-    task, grid = find_task(options.task), Grid()
+    task, grid = TASKS[options.task], Grid()
     rows, columns = grid.shape
     recording = Recording(task.instruction, options.seed, options.cell, (columns, rows), options.style)
     with DatasetWriter(

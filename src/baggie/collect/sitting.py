@@ -21,10 +21,10 @@ from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import Ask, CollectorCell
 from baggie.collect.machine import Turn, run_turn, stopped
-from baggie.collect.options import CollectedStyle
 from baggie.data.record import fit
 from baggie.errors import ArmError, CameraError, ReachError, StuckError
 from baggie.geometry import FloatArray
+from baggie.options.choices import CollectedStyle
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from baggie.calibration.image_to_robot.map import ImageToRobot, compare
 from baggie.calibration.image_to_robot.residuals import draw_comparison
 from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
-from baggie.commissioning.printed import HAND_MARKER, TABLE_MARKER
-from baggie.commissioning.session import Bench, LiveOptions, open_bench
+from baggie.commissioning.session import Bench, open_bench
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
+from baggie.options.calibrating import CheckOptions
 from baggie.pictures import read_picture
-from baggie.ranges import Count, Number, Point, Positive
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.workcell import Watch, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
@@ -29,31 +28,6 @@ from baggie.workcell.workcell_file import read_workcell_file
 _TOUCH_Z_M = 0.02
 _SPEED_M_S = 0.3
 _HOVER_M = 0.15
-
-
-@dataclass(frozen=True)
-class CheckOptions(LiveOptions):
-    """What to check, and how."""
-
-    map: Path = Path("image-to-robot.yaml")
-    """The calibration to check."""
-    points: Count = 8
-    """How many points the marker in the hand is taken to, other ones than the map was made from."""
-    touches: Number = 3
-    """How often the marker on the table is touched; somebody says, or the simulator knows, how far off."""
-    limit_mm: Positive = 3.0
-    """A mean error above this is a failure: the exit status is 1."""
-    marker: str = HAND_MARKER
-    """In the hand, as for `image-to-robot`."""
-    marker_in_hand: Point = (0.13, 0.0, 0.0)
-    """As for `image-to-robot`."""
-    prepared: bool = False
-    """As for `image-to-robot`; with --touches 0, nobody is needed at all."""
-    table_marker: str = TABLE_MARKER
-    """Laid on the table and touched."""
-    against: str | None = None
-    """Instead of moving anything, compare the map with another one (a calibration file), or with what a trained
-    `keypoint` policy has learned (a run's folder), at half the height of the workcell's bag."""
 
 
 def check_calibration(options: CheckOptions) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -14,28 +13,12 @@ from rich.table import Table
 from baggie.commissioning.assistant import Helper, PersonAtTerminal
 from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
 from baggie.errors import BaggieError
+from baggie.options.workcells import DoctorOptions
 from baggie.progress import ask, is_attended
-from baggie.ranges import Options, Seed
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
 _COLORS: dict[Verdict, str] = {"ok": "green", "look": "yellow", "failed": "bold red", "not tried": "dim"}
-
-
-@dataclass(frozen=True)
-class DoctorOptions(Options):
-    """Check a workcell."""
-
-    workcell: tyro.conf.Positional[str] = "sim"
-    """A workcell file, or `sim`."""
-    cell: Seed = 0
-    """Number of the simulated workcell."""
-    move: Literal["ask", "yes", "no"] = "ask"
-    """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand. With
-    `yes` nobody is asked for anything: what needs a person is not tried."""
-    lab: str | None = None
-    """Address of the virtual lab that the workcell is in, such as http://127.0.0.1:8090: it does what a person would
-    have to."""
 
 
 @dataclass(frozen=True)

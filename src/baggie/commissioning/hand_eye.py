@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
@@ -18,11 +17,11 @@ from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot, compare
-from baggie.commissioning.printed import HAND_BOARD
-from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.options.calibrating import HandEyeOptions
 from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
 from baggie.vision.corners import FLAT
@@ -30,27 +29,6 @@ from baggie.vision.targets import parse_target
 
 MAX_MISSES = 20
 """Pictures in a row without the board, or poses out of reach, before giving up."""
-
-
-@dataclass(frozen=True)
-class HandEyeOptions(LiveOptions):
-    """Where the views come from."""
-
-    out: Path = Path("hand-eye.yaml")
-    """The calibration to write. Beside it go a picture and, live, a folder of views."""
-    from_: From = None
-    """A recording: a folder with views.json (units, mount; T_base_hand and T_camera_board or image of each view)."""
-    keep_all: bool = False
-    """Use all views, also those that disagree with the others."""
-    intrinsics: Path = Path("camera.yaml")
-    """The camera's own calibration; live only, a recording brings its own. It knows how the board sags that it was made
-    with; where that is `board`, it is taken so."""
-    mount: Literal["fixed", "hand"] = "fixed"
-    """Live: the camera fixed and the board in the hand, or the camera on the hand and the board on the table."""
-    board: str = HAND_BOARD
-    """The board in the hand or on the table; live."""
-    views: Annotated[int, Interval(ge=3)] = 15
-    """How many to take, live."""
 
 
 def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:

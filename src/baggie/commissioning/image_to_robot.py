@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,14 +20,14 @@ from baggie.calibration.image_to_robot.residuals import draw_residuals
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.cameras.camera import Camera
 from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.printed import HAND_MARKER
-from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
 from baggie.errors import BaggieError, CalibrationError, DataError, LimitError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, ToolPose, hand_matrix, transform_points
+from baggie.options.calibrating import ImageToRobotOptions
+from baggie.options.ranges import Point
 from baggie.pictures import read_picture, write_picture
 from baggie.progress import progress_bar
-from baggie.ranges import Count, Height, Point, Positive
 from baggie.robot.arm import Arm, hand_pose
 from baggie.robot.limits import Limits
 from baggie.types import Image, Observation
@@ -115,37 +114,6 @@ def parse_marker(spec: str) -> tuple[Find, Marker | None]:
 
 
 MARGIN_M = 0.03
-
-
-@dataclass(frozen=True)
-class ImageToRobotOptions(LiveOptions):
-    """Where the arm goes, and what it carries."""
-
-    out: Path = Path("image-to-robot.yaml")
-    """The calibration to write. Beside it go a picture of its residuals and, live, a folder of pictures."""
-    from_: From = None
-    """Points already taken: a folder with views.json: {"camera": {"name", "width", "height"}, "views": [{"T_base_hand":
-    4 x 4 or "base": [x, y, z] of the marker itself, "pixel": [u, v] or "image": "000.png"}, ...]}, metres."""
-    intrinsics: Path | None = None
-    """The camera's own calibration: the lens is then exact, and one height enough. Without it the lens is estimated."""
-    marker: str = HAND_MARKER
-    """What the hand carries: aruco:DICTIONARY:NUMBER:SIZE, or color:R,G,B for a coloured blob."""
-    marker_in_hand: Point = (0.13, 0.0, 0.0)
-    """The marker's middle in the tool's frame (x forward, y right, z down), metres."""
-    prepared: bool = False
-    """The table is clear, the marker in the hand and nobody near the arm: it begins at once, and asks nobody."""
-    heights: tuple[Height, ...] = (0.05, 0.15)
-    """At which the marker is carried, metres above the table. With one height and no intrinsics the map is right at
-    that height only."""
-    map_height: Height = 0.0
-    """The height the saved map is right at, metres above the table, for whoever takes it as it is. Collecting and
-    evaluating carry it to half of the bag's `height_m` in the workcell file, whatever this is."""
-    columns: Count = 4
-    """Of points from right to left."""
-    rows: Count = 3
-    """Of points from near to far."""
-    limit_mm: Positive = 5.0
-    """A map whose points disagree by more, each judged by a fit to the others (RMS), is refused."""
 
 
 def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from baggie.calibration.intrinsics.camera_calibration import (
@@ -19,31 +17,15 @@ from baggie.calibration.intrinsics.fit import (
     is_new,
     next_view,
 )
-from baggie.commissioning.printed import BOARD
-from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
+from baggie.options.calibrating import IntrinsicsOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import parse_target
 
 MAX_LOOKS = 400
 """Pictures looked at before giving up on a board that is never shown where it is needed."""
-
-
-@dataclass(frozen=True)
-class IntrinsicsOptions(LiveOptions):
-    """Where the pictures come from, and what is in them."""
-
-    out: Path = Path("camera.yaml")
-    """The calibration to write. Beside it go a picture of where the board was seen and, live, a folder of pictures."""
-    from_: From = None
-    """Pictures already taken: a folder, one picture, or a video. Without it they are taken live."""
-    board: str = BOARD
-    """charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY or chessboard:COLUMNSxROWS:SQUARE, in metres, as measured."""
-    name: str | None = None
-    """The camera's name, which a workcell must repeat; that of the camera or the folder unless given."""
-    factory: Path | None = None
-    """Take the manufacturer's values instead: a ROS camera_info, a RealSense, an OpenCV or an mrcal file."""
 
 
 def calibrate_intrinsics(options: IntrinsicsOptions) -> dict[str, Any]:

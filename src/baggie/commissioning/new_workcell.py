@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-import tyro
 import yaml
 
 from baggie.cameras.camera import Kind
@@ -31,7 +30,9 @@ from baggie.commissioning.questions import (
 )
 from baggie.errors import BaggieError, DataError, explained
 from baggie.files import parse_yaml, write_text
+from baggie.options.workcells import NewWorkcellOptions, ShowWorkcellOptions
 from baggie.robot.arm import ArmInfo
+from baggie.robot.franka.models import MODELS
 from baggie.workcell.workcell_file import (
     Bag,
     Bounds,
@@ -195,14 +196,6 @@ _NEXT = """\
 """
 
 
-@dataclass(frozen=True)
-class NewWorkcellOptions:
-    """Write a workcell file."""
-
-    out: tyro.conf.Positional[Path] = Path("cell.yaml")
-    """Where to; a file that is there already is left as it is."""
-
-
 def new_workcell(options: NewWorkcellOptions, ask: Callable[[str], str] | None = None) -> dict[str, Any]:
     """Ask, write, and read it back. Raises `BaggieError` where there is a file already, or nobody answers.
 
@@ -286,19 +279,29 @@ def _simulated_sides(answer: str) -> list[float]:
     return sides
 
 
-def shown_workcell(path: Path) -> dict[str, Any]:
+def _arm_info(written: WorkcellFile, path: Path) -> ArmInfo | None:
+    """What the arm can do; None for one that is not real. Raises as `baggie.workcell.config.arm_of` does."""
+    if isinstance(written.arm, FrankaEntry):
+        return MODELS[written.arm.model].info(written.arm.host)
+    if not isinstance(written.arm, LeRobotEntry | PythonEntry):
+        return None
+    from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time, and may not be whole
+
+    return arm_of(written, path)
+
+
+def shown_workcell(options: ShowWorkcellOptions) -> dict[str, Any]:
     """What is written and what is left to defaults; of `handling` each value, and what it comes from.
 
     Nothing is connected. Raises `BaggieError` for a file that cannot be used, and for a handling that this arm cannot
     do; where the arm cannot be made here, `gripper` says why, and nothing follows from it.
     """
+    path = options.file
     written = read_workcell_file(path)
     arm: ArmInfo | None = None
     gripper = "of no real arm"
     try:
-        from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time, and may not be whole
-
-        arm = arm_of(written, path)
+        arm = _arm_info(written, path)
     except BaggieError as error:
         gripper = f"not known here: {error}"
     except ImportError as error:

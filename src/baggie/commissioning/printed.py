@@ -7,30 +7,18 @@ Its origin is the lowest left point of the print, x runs right along the print, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
-from annotated_types import Interval
 
 from baggie.errors import BaggieError, UsageError
 from baggie.geometry import FloatArray, rigid, transform_points
-from baggie.ranges import Color, Options
-from baggie.vision.goal_card import CARD_COLOR
+from baggie.options.choices import BOARD, HAND_BOARD, HAND_MARKER, TABLE_MARKER
+from baggie.options.workcells import PrintOptions
 from baggie.vision.printing import print_goal_card, print_target
 from baggie.vision.targets import Target, parse_target
 
-HAND_MARKER = "aruco:DICT_4X4_50:0:0.060"
-"""On the plate in front of the fingertips, for `image-to-robot` and `check`."""
-TABLE_MARKER = "aruco:DICT_4X4_50:1:0.060"
-"""Laid on the table, to be touched by `check`."""
-BOARD = "charuco:12x8:0.032:0.024:DICT_4X4_50"
-"""For everything else: held in front of the camera, laid on the table. As large as A3 allows: with a board half as
-large the focal length is three times as uncertain, and the camera's angle four times."""
-HAND_BOARD = "charuco:5x4:0.020:0.015:DICT_4X4_50"
-"""On the plate in the hand, for `hand-eye`."""
 NAMED = {
     "hand-marker": (HAND_MARKER, "A4"),
     "table-marker": (TABLE_MARKER, "A4"),
@@ -38,23 +26,6 @@ NAMED = {
     "hand-board": (HAND_BOARD, "A4"),
 }
 GOAL_CARD = "goal-card"
-
-
-@dataclass(frozen=True)
-class PrintOptions(Options):
-    """What to print, and on what."""
-
-    target: Annotated[str, tyro.conf.Positional] = "board"
-    """board, hand-marker, table-marker, hand-board, goal-card, or a target in full such as
-    charuco:7x5:0.030:0.021:DICT_4X4_50, chessboard:9x6:0.025 or aruco:DICT_4X4_50:3:0.10 (metres)."""
-    out: Path | None = None
-    """The PDF; TARGET.pdf unless given."""
-    paper: str | None = None
-    """A4 or A3; what the target was made for unless given."""
-    size: Annotated[float, Interval(gt=0, le=1)] = 0.13
-    """Side of a goal card, metres."""
-    color: Color = CARD_COLOR
-    """RGB of a goal card."""
 
 
 def print_to_pdf(options: PrintOptions) -> dict[str, Any]:

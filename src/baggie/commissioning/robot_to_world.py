@@ -6,7 +6,6 @@ The camera sees the target; the robot touches points of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +17,14 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import compose
 from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.world.robot_to_world import RobotToWorld, fit_from_axes, fit_from_points
-from baggie.commissioning.printed import BOARD, T_world_target, points_to_touch
-from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
+from baggie.commissioning.printed import T_world_target, points_to_touch
+from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import transform_points
+from baggie.options.calibrating import CameraToWorldOptions, RobotToWorldOptions
 from baggie.pictures import read_pictures
-from baggie.ranges import Count, Height
 from baggie.robot.arm import hand_pose
 from baggie.vision.targets import Seen, Target, parse_target, with_sag
-
-
-@dataclass(frozen=True)
-class CameraToWorldOptions(LiveOptions):
-    """What lies on the table, and how the camera sees."""
-
-    out: Path = Path("camera-to-world.yaml")
-    """The calibration to write; live, the pictures go into a folder of the same name."""
-    intrinsics: Path = Path("camera.yaml")
-    """The camera's own calibration, made by `baggie calibrate intrinsics`. It knows how the board sags that it was made
-    with; where that is the target, it is taken so."""
-    from_: From = None
-    """Pictures already taken, the camera standing still: a folder, one picture, or a video."""
-    target: str = BOARD
-    """What lies on the table: a charuco or chessboard (see `calibrate intrinsics`), or aruco:DICTIONARY:NUMBER:SIZE."""
-    frames: Count = 10
-    """Pictures to average, live."""
 
 
 def calibrate_camera_to_world(options: CameraToWorldOptions) -> dict[str, Any]:
@@ -112,24 +94,6 @@ def _from_pictures(
         depths=depths,
         names=list(seen),
     )
-
-
-@dataclass(frozen=True)
-class RobotToWorldOptions(LiveOptions):
-    """What is touched, and with what."""
-
-    out: Path = Path("robot-to-world.yaml")
-    """The calibration to write; live, the touches go into a folder of the same name."""
-    from_: From = None
-    """Touches already made: a folder with views.json, {"views": [{"world": [x, y, z], "base": [x, y, z]}]}, metres."""
-    target: str = BOARD
-    """What lies on the table, and has not been moved since the camera was calibrated to it."""
-    axes_only: bool = False
-    """Touch the origin and a point on each axis, no more; then a wrong touch cannot be noticed."""
-    probe: Height = 0.03
-    """How far the tip that touches is beyond the point between the fingertips, metres."""
-    camera_to_world: Path | None = None
-    """Given, the camera's pose in the robot's frame is written as well, to camera-to-robot.yaml beside `out`."""
 
 
 def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:

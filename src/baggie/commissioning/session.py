@@ -10,11 +10,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 from rich.console import Console
 
 from baggie import seeds
@@ -24,30 +23,11 @@ from baggie.cameras.opening import open_camera
 from baggie.commissioning.assistant import Assistant, PersonAtTerminal
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible, write_text
+from baggie.options.calibrating import LiveOptions
 from baggie.pictures import write_picture
-from baggie.ranges import Options, Seed
 from baggie.types import Image, Observation
 from baggie.vision.targets import Seen
 from baggie.workcell.workcell import Workcell
-
-
-@dataclass(frozen=True)
-class LiveOptions(Options):
-    """Which camera and arm, when a calibration is made live."""
-
-    workcell: str = "sim"
-    """A workcell file, or `sim`: the simulated one, where everything a person would do happens by itself."""
-    cell: Seed = 0
-    """Number of the simulated workcell."""
-    camera: str | None = None
-    """A camera without an arm: its number, device or address as OpenCV opens it, or a video file; or `realsense`,
-    `orbbec`, `k4a`, each with `:SERIAL` where several are plugged in."""
-    seed: Seed = 0
-    """Of what is random: where a simulated person holds the board, which points are visited."""
-
-
-From = Annotated[Path | None, tyro.conf.arg(name="from")]
-"""The option `--from`, a word that Python keeps for itself."""
 
 
 @dataclass

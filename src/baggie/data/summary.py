@@ -7,23 +7,21 @@ from __future__ import annotations
 
 import contextlib
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
-from annotated_types import Interval
 
 from baggie.data.dataset import Dataset, open_dataset
 from baggie.data.writer import DONE
-from baggie.errors import BaggieError, DataError
+from baggie.errors import BaggieError, BaggieWarning, DataError, WriteError
 from baggie.geometry import FloatArray, Grid, PlanarPose
+from baggie.options.collecting import InspectOptions
 from baggie.pictures import write_picture
-from baggie.ranges import Options
 from baggie.types import Attempt, Goal, Image, Observation
 from baggie.vision.draw import check_goal
 
@@ -36,17 +34,22 @@ _MARK_M = 0.04
 _WHITE, _RED, _BLUE, _GREEN = (255, 255, 255), (220, 30, 30), (40, 90, 255), (0, 200, 0)
 
 
-@dataclass(frozen=True)
-class InspectOptions(Options):
-    """Which recording, and where to draw."""
+def inspect(options: InspectOptions) -> tuple[dict[str, Any], WriteError | None]:
+    """What is in a dataset, as `inspect_dataset` says it, and where its contact sheet was drawn.
 
-    data: tyro.conf.Positional[Path]
-    """The recording's folder."""
-    sheet: Path | None = None
-    """Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that can be
-    written."""
-    columns: Annotated[int, Interval(ge=1, le=1000)] = 6
-    """Attempts in a row of the contact sheet."""
+    With it the error where the sheet cannot be written though somebody said where. Else that is a warning: the
+    recording is a colleague's perhaps, or the disk full. Raises `DataError` where there is no dataset.
+    """
+    summary = inspect_dataset(options.data)
+    if summary["attempts"]:
+        sheet = options.sheet or options.data / "contact-sheet.png"
+        try:
+            summary["contact_sheet"] = str(contact_sheet(options.data, sheet, options.columns))
+        except WriteError as error:
+            if options.sheet is not None:
+                return summary, error
+            warnings.warn(f"{error}; or give --sheet another place", BaggieWarning, stacklevel=2)
+    return summary, None
 
 
 def inspect_dataset(root: Path | str) -> dict[str, Any]:

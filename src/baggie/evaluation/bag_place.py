@@ -19,10 +19,10 @@ from baggie.calibration.files import MAP_FILE
 from baggie.collect.calibrate import calibrate_into
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.evaluation.episode import Episode, Kind, run_episode
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.setup import Bench, card_map
 from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
 from baggie.metrics import Rate, success_rate, summary, within_stated
+from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import ColorMaskPolicy
 from baggie.policies.color_mask import CONFIG_FILE
 from baggie.seeds import EVALUATION

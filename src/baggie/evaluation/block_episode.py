@@ -16,14 +16,14 @@ from typing import Any, Protocol, Self
 
 from baggie.evaluation.episode import EpisodeRecord, Kind, MovingCell, Turn, take_turn
 from baggie.evaluation.log import Record
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.pictures import save_map, save_mp4, save_step
 from baggie.evaluation.subjects import open_policy
 from baggie.metrics import success_rate, summary
+from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import DemonstratorPolicy, OraclePolicy, Policy
 from baggie.policies.memory import remembering
 from baggie.seeds import EVALUATION
-from baggie.tasks import Task
+from baggie.tasks.task import Task
 from baggie.types import Image, Observation
 
 

@@ -11,9 +11,9 @@ from baggie.data import Dataset
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import COLLECTION, generator
 from baggie.sim.blocks import Block, distance_m
-from baggie.tasks import Scene, Task
 from baggie.tasks.demonstrator import remaining
 from baggie.tasks.scoring import RavensScore, counts
+from baggie.tasks.task import Scene, Task
 from baggie.types import PickPlace
 
 _SAME_REWARD = 1e-3

@@ -18,8 +18,8 @@ from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.block_episode import BLOCKS
 from baggie.evaluation.episode import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.subjects import UNKNOWN, check_taught, config_of, fingerprint, in_its_cell, policy_name
+from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.learned import check_device
 from baggie.processes import stream_in_processes
 from baggie.progress import progress_bar

@@ -19,11 +19,12 @@ from rich.console import Console
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
 from baggie.evaluation.log import Record
-from baggie.evaluation.options import EvaluateOptions, GoalKind
 from baggie.evaluation.pictures import EpisodeScene, save_mp4, save_pictures
 from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.metrics import position_error_cm, yaw_error_deg
+from baggie.options.choices import GoalKind
+from baggie.options.evaluating import EvaluateOptions
 from baggie.types import Goal, Observation, Outcome, Plan
 from baggie.vision.draw import check_goal
 

@@ -14,10 +14,10 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.machine import at_outline, detect
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.setup import Bench, card_map
 from baggie.evaluation.subjects import calibration_folder, config_of, in_its_cell, open_policy
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.options.evaluating import EvaluateOptions
 from baggie.pictures import read_picture, same_shape
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy
 from baggie.policies.checkpoint import check_camera

@@ -27,7 +27,7 @@ from baggie.learning.demonstrations import carried_in
 from baggie.learning.split import demonstration, with_after
 from baggie.learning.symmetry import found_symmetries, turn_onto
 from baggie.metrics import Rate, success_rate
-from baggie.tasks import TASKS
+from baggie.registry import TASKS
 from baggie.tasks.scoring import counts
 from baggie.types import Attempt, Observation, PickPlace
 from baggie.vision.carried import CHANGED_M, ON_IT_PX, Carried, Mask, middle_of
@@ -325,7 +325,7 @@ def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str
 
 def choices(dataset: Dataset, attempt_ids: Collection[int]) -> Mapping[int, Choices]:
     """By attempt id, of those of these steps of which the recording tells."""
-    task = TASKS.get(dataset.collection.get("task", ""))
-    if task is None:
+    name = dataset.collection.get("task", "")
+    if name not in TASKS:
         return choices_of_maps(dataset, attempt_ids)
-    return choices_of_scene(dataset, task)
+    return choices_of_scene(dataset, TASKS[name])

@@ -12,9 +12,9 @@ from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
-from baggie.evaluation.options import EvaluateOptions
 from baggie.evaluation.subjects import config_of, in_its_cell
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import ColorMaskPolicy, Policy
 from baggie.robot.limits import Limits
 from baggie.types import Image, Observation, Outcome, Plan

@@ -9,7 +9,7 @@ from typing import Any
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
-from baggie.tasks import TASKS, find_task
+from baggie.registry import TASKS
 
 _FROM_ABOVE = "transporter"
 """The policy that looks at height maps, unless it has a camera."""
@@ -55,7 +55,7 @@ def check_taught(policy: str, task: str) -> None:
     if not config:
         return
     instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
-    words = {name: known.instruction for name, known in TASKS.items()}
+    words = {name: known.instruction for name, known in TASKS.all().items()}
     taught = next((name for name in words if words[name] == instruction), task)
     if taught != task:
         raise BaggieError(
@@ -63,7 +63,7 @@ def check_taught(policy: str, task: str) -> None:
             f"give --task {taught}, or another policy"
         )
     from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
-    if from_above != (find_task(task).view == "height-map"):
+    if from_above != (TASKS[task].view == "height-map"):
         looks, needed = ("height maps", "a camera's pictures")[:: 1 if from_above else -1]
         raise BaggieError(
             f"expected a policy that looks at {needed} with --task {task}, got {policy}, which looks at {looks}; "

@@ -20,8 +20,8 @@ from baggie.evaluation.predictions import Scene, measure, predict, save_pictures
 from baggie.evaluation.scored_plans import with_what_was_carried, would_count
 from baggie.evaluation.subjects import config_of, open_policy
 from baggie.geometry import FloatArray
+from baggie.options.evaluating import ValidateOptions
 from baggie.policies import ColorMaskPolicy
-from baggie.ranges import Count, Options
 from baggie.results import VALIDATION, check_unmixed, provenance, write_json
 from baggie.types import Goal
 from baggie.vision.draw import check_goal
@@ -128,25 +128,6 @@ def _executed(dataset: Dataset, attempt_ids: Sequence[int]) -> np.ndarray | None
 WORST = 10
 CAMERA, HEIGHT_MAPS = "camera", "height maps"
 """What pictures a policy was measured on."""
-
-
-@dataclass(frozen=True)
-class ValidateOptions(Options):
-    """Measure pick and place errors on attempts the policy never learned from.
-
-    Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
-    """
-
-    policy: str
-    """A training run's folder, a Hub id, or `color-mask`."""
-    data: Path
-    """The recording."""
-    out: Path
-    """Where metrics.json, predictions.json and pictures/ go."""
-    last: Count = 50
-    """For a policy that was not trained: how many successful attempts, from the end, to measure it on."""
-    calibration: Path | None = None
-    """For `color-mask`: its image-to-robot map. By default the one in the recording's calibration/ folder."""
 
 
 def validate(options: ValidateOptions) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from baggie.files import write_text
 from baggie.lab.faults import cause, check_fault
 from baggie.lab.lab import Lab
-from baggie.lab.options import LabOptions
 from baggie.lab.web import STREAM, LabServer
+from baggie.options.workcells import LabOptions
 
 _FILE = """\
 # The virtual lab: a simulated workcell behind the interfaces of a real one (docs/lab.md).
@@ -29,7 +29,11 @@ bag:
 """
 
 
-def serve_lab(options: LabOptions, announce: Callable[[str], None]) -> None:
+def _print(text: str) -> None:
+    print(text, flush=True)
+
+
+def serve_lab(options: LabOptions, announce: Callable[[str], None] = _print) -> None:
     """Keep a lab going until Ctrl-C, or until the process is told to end. `announce` gets the workcell file's text.
 
     Raises `BaggieError` where an address cannot be had, or a fault is not one.

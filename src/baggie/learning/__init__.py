@@ -1,4 +1,4 @@
-from baggie.learning.options import TrainOptions
 from baggie.learning.train import train
+from baggie.options.training import KeypointTraining, RegressionTraining, TrainOptions, TransporterTraining
 
-__all__ = ["TrainOptions", "train"]
+__all__ = ["KeypointTraining", "RegressionTraining", "TrainOptions", "TransporterTraining", "train"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -21,10 +21,12 @@ from baggie.data.summary import goal_of
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.learning.labels import SYSTEMATIC_M, Disagreement, Labels
-from baggie.learning.loop import Batch
+from baggie.learning.loop import Batch, Recipe
 from baggie.learning.samples import Changes, Samples
+from baggie.options.choices import Backbone
+from baggie.options.training import KeypointTraining
 from baggie.policies.keypoint.heads import LONG, SQUARE, gaussians, phase_of
-from baggie.policies.keypoint.network import Backbone, KeypointNet, Keypoints, ResNetFeatures, phases_under
+from baggie.policies.keypoint.network import KeypointNet, Keypoints, ResNetFeatures, phases_under
 from baggie.policies.keypoint.plan import GoalInput, View
 from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.policies.learned import LearnedPolicy
@@ -114,7 +116,7 @@ class KeypointOptions:
     fuse_labels: bool = True
 
 
-class KeypointRecipe:
+class KeypointRecipe(Recipe):
     """Calibration-free augmentation: f finds a point in a warped picture A·I, g maps points, and g(A⁻¹ f(A·I)) = label.
 
     Two more things make 200 attempts go far. Any attempt's goal, with its release pose, can be the goal in any other's
@@ -122,7 +124,7 @@ class KeypointRecipe:
     labels agree on, so that the network has only to learn to see.
     """
 
-    steps: ClassVar[int] = 800
+    steps = 800
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 5.0
     network_class: ClassVar[type[KeypointNet]] = KeypointNet
@@ -146,6 +148,17 @@ class KeypointRecipe:
         self.policy = KeypointPolicy(network, view, attempts[0].cell, self.options.goal_input)
         self.labels = Labels.of(attempts, view, network.to_robot, self.options.fuse_labels)
         self.samples = Samples(attempts, self.labels, self.policy, self.options.changes)
+
+    @classmethod
+    def of(cls, options: KeypointTraining, attempts: Sequence[Attempt]) -> Self:
+        """The recipe that a command asks for. Raises `DataError` as the class does."""
+        goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
+        changes = Changes(options.new_looks)
+        return cls(attempts, KeypointOptions(options.backbone, options.weights, goal_input, changes))
+
+    def chosen(self) -> dict[str, Any]:
+        """Which weights it starts from, how many pictures are changed."""
+        return {"weights": self.options.weights, "new_looks": self.options.changes.new_looks}
 
     def _network(self) -> KeypointNet:
         options = self.options

@@ -15,6 +15,7 @@ import os
 import signal
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +23,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
 
 from baggie.errors import DataError
+from baggie.learning.split import Split
 from baggie.policies.checkpoint import write_files
 from baggie.policies.learned import LearnedPolicy
 from baggie.progress import progress_bar
@@ -90,43 +92,62 @@ def flushed_denormals() -> Iterator[None]:
 Batch = dict[str, Tensor]
 
 
-class Recipe(Protocol):
+class Recipe(ABC):
     """One way to teach one kind of policy. It is made with the attempts it teaches from."""
 
+    policy: LearnedPolicy
+    """The policy being taught; its network is what changes."""
+    steps: int
+    """Batches, unless told otherwise."""
+    steps_before: int | None = None
+    """Batches of older versions, where those were other ones: their trainings go on."""
+    symmetry: int | None = None
+    """How often a turn what is moved looks the same, where the attempts are not to be asked for it."""
     average: ClassVar[bool]
     """Whether the exponential moving average of the weights is what is kept, rather than the last ones."""
     max_gradient: ClassVar[float | None]
     """The norm gradients are clipped to."""
 
-    @property
-    def steps(self) -> int:
-        """Batches, unless told otherwise."""
-        ...
+    @classmethod
+    @abstractmethod
+    def of(cls, options: Any, attempts: Sequence[Attempt]) -> Self:
+        """The recipe that a command asks for by `options`, its policy's own (`baggie.options.training`).
 
-    @property
-    def policy(self) -> LearnedPolicy:
-        """The policy being taught; its network is what changes."""
-        ...
+        Raises `BaggieError` for attempts that cannot be learned from.
+        """
 
+    @classmethod
+    def split(cls, attempts: Sequence[Attempt], train: int | None, val: int | None) -> Split:
+        """Which of a recording's attempts teach, and which measure; how many of each, where somebody said so."""
+        return Split.of(attempts, train, val)
+
+    def chosen(self) -> dict[str, Any]:
+        """What decides the result and does not stand in the policy's own config, by name; None where nobody chose."""
+        return {}
+
+    def note(self) -> str:
+        """What a person should know before it begins; empty for nothing."""
+        return ""
+
+    @abstractmethod
     def optimizer(self) -> Optimizer:
         """Over the network's parameters."""
-        ...
 
+    @abstractmethod
     def rate(self, progress: float) -> float:
         """The learning rate relative to its highest, at `progress` in [0, 1) of the training."""
-        ...
 
+    @abstractmethod
     def batch(self, rng: np.random.Generator) -> Batch:
         """Tensors on the CPU. The same generator gives the same batch; called from a thread of its own."""
-        ...
 
+    @abstractmethod
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """What is minimised, and its parts by name with their units, detached, for the log."""
-        ...
 
     def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
         """What is left to do with the trained policy, given attempts it did not learn from; what its metrics say."""
-        ...
+        return {}
 
 
 FILE = "resume.pt"

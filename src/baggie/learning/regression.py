@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -11,16 +11,17 @@ from torch import Tensor, nn
 from torch.optim import Adam, Optimizer
 
 from baggie.data.summary import goal_of
-from baggie.learning.loop import Batch
-from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, Statistics, load_imagenet
-from baggie.types import Attempt, DrawnStyle
+from baggie.learning.loop import Batch, Recipe
+from baggie.options.choices import DrawnStyle, Statistics
+from baggie.options.training import RegressionTraining
+from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, load_imagenet
+from baggie.types import Attempt
 
 
-class RegressionRecipe:
+class RegressionRecipe(Recipe):
     """L1 on metres, Adam at 1e-4, one picture a step; both networks learn side by side."""
 
-    steps: ClassVar[int] = 10_000
+    steps = 10_000
     average: ClassVar[bool] = False
     max_gradient: ClassVar[float | None] = None
     policy: RegressionPolicy
@@ -43,8 +44,18 @@ class RegressionRecipe:
             network.place.resnet.load_state_dict(imagenet)
         first = attempts[0]
         self.policy = RegressionPolicy(network, first.before.size, first.cell, goal_style, goal_color)
+        self._weights = weights
         # Nothing is drawn at random but which attempt it is, so every batch there can be is made once, here.
         self._batches = [self._batch(attempt) for attempt in attempts]
+
+    @classmethod
+    def of(cls, options: RegressionTraining, attempts: Sequence[Attempt]) -> Self:
+        """The recipe that a command asks for. Raises `DataError` for weights that cannot be used."""
+        return cls(attempts, options.goal_style, options.goal_color, options.weights, options.statistics)
+
+    def chosen(self) -> dict[str, Any]:
+        """Which weights it starts from."""
+        return {"weights": self._weights}
 
     def optimizer(self) -> Optimizer:
         """Adam over both networks: as it treats every number alone, the same as one for each.
@@ -69,10 +80,6 @@ class RegressionRecipe:
             "images": torch.from_numpy(image.transpose(2, 0, 1).copy()).unsqueeze(0),
             "xy": torch.from_numpy(xy).float().unsqueeze(0),
         }
-
-    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
-        """Nothing: it says where, and not how surely."""
-        return {}
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """The sum of both networks' mean absolute errors, metres: each gets the gradient of its own."""

@@ -46,6 +46,8 @@ class Split:
 
     train: list[Attempt]
     val: list[Attempt]
+    rule: str = RULE
+    """By which they were chosen, in words."""
 
     @classmethod
     def of(cls, attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
@@ -89,7 +91,9 @@ _MOST = 0.5
 
 
 def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
-    """By `RULE`; `train` and `val` count episodes, and none is in both. An attempt of no episode is one by itself.
+    """By `EPISODES_RULE`; `train` and `val` count episodes, and none is in both.
+
+    An attempt of no episode is one by itself.
 
     Four fifths and one fifth, at most 200 and 50, where it is not said how many.
 
@@ -109,7 +113,7 @@ def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: i
         for part in (teaching[:train], teaching[train : train + val])
     )
     check_alike([*first, *next_ones])
-    return Split(first, next_ones)
+    return Split(first, next_ones, EPISODES_RULE)
 
 
 def demonstration(episode: Sequence[Attempt]) -> list[Attempt]:

@@ -18,26 +18,13 @@ from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER, read_json
 from baggie.errors import DataError
-from baggie.learning.demonstrations import (
-    from_camera,
-    read_demonstrations,
-    rectified,
-    rectifier_for,
-    with_seen_symmetry,
-    with_turns,
-)
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.loop import Recipe, Training
 from baggie.learning.measure import measure
-from baggie.learning.options import TrainOptions
-from baggie.learning.regression import RegressionRecipe
-from baggie.learning.samples import Changes
-from baggie.learning.split import EPISODES_RULE, RULE, Split, split_episodes
-from baggie.learning.transporter import TransporterOptions, TransporterRecipe
+from baggie.learning.split import Split
+from baggie.options.training import TrainOptions
 from baggie.policies import checkpoint
-from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy, check_device
-from baggie.policies.transporter.policy import TransporterPolicy
+from baggie.registry import named
 from baggie.results import TRAINING, check_unmixed, provenance
 from baggie.types import Attempt
 
@@ -54,7 +41,7 @@ def train(
     """Train a policy, or go on with it, or find it finished; returns what stands in its `metrics.json`.
 
     `attempts` replaces the recording that `options.data` names; `make_recipe` makes a recipe of your own from those to
-    learn from, in place of the policy that the options name. The last weights (the last average of them,
+    learn from, in place of the one that the options name. The last weights (the last average of them,
     where the recipe keeps one) are the result, by rule: nothing is chosen by looking. The truth of simulated
     attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
     KeyboardInterrupt, whose message says how to go on, when stopped.
@@ -63,16 +50,14 @@ def train(
     check_unmixed(options.out, TRAINING)
     accelerator = _accelerator(options.device)
     recorded = open_dataset(options.data) if attempts is None else attempts
-    of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
-    split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
+    kind: type[Recipe] = named(options.recipe)
+    split = kind.split(recorded, options.train, options.val)
     torch.manual_seed(options.seed)
-    recipe = _recipe(options, split.train) if make_recipe is None else make_recipe(split.train)
+    recipe = kind.of(options, split.train) if make_recipe is None else make_recipe(split.train)
     steps = options.steps or _begun_with(options, recipe) or recipe.steps
     if isinstance(recorded, Dataset):
         recipe.policy.camera_size = recorded.camera_size
-    recipe.policy.training = _record(options, split, steps, EPISODES_RULE if of_episodes else RULE)
-    if isinstance(recipe, TransporterRecipe):
-        recipe.policy.training["symmetry"] = recipe.symmetry
+    recipe.policy.training = _record(options, split, steps) | recipe.chosen()
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
@@ -90,8 +75,8 @@ def train(
             f"these pictures of {width} x {height} were squeezed to {to_width} x {to_height} when they were recorded; "
             "the policy will squeeze what it sees alike"
         )
-    if isinstance(recipe, TransporterRecipe) and accelerator.is_main_process:
-        _say_symmetry(recipe)
+    if accelerator.is_main_process and (note := recipe.note()):
+        Console(stderr=True).print(note)
     training = Training(
         recipe,
         options.out,
@@ -100,10 +85,7 @@ def train(
         save_every_s=options.save_every_s,
         accelerator=accelerator,
     )
-    symmetry = options.symmetry
-    if isinstance(recipe, TransporterRecipe) and recipe.symmetry["origin"] == "found":
-        symmetry = recipe.symmetry["all"]
-    judge = partial(measure, attempts=split.val, symmetry=symmetry)
+    judge = partial(measure, attempts=split.val, symmetry=recipe.symmetry)
     seconds = training.run(judge)
     policy = training.policy
     metrics = {
@@ -129,60 +111,16 @@ def _accelerator(device: str) -> Accelerator:
     return Accelerator(cpu=device == "cpu")
 
 
-def _recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> Recipe:
-    if options.policy == "regression":
-        return RegressionRecipe(
-            attempts, options.goal_style, options.goal_color, options.weights, options.statistics
-        )
-    if options.policy == TransporterPolicy.name:
-        return _transporter_recipe(options, attempts)
-    goal_input = GoalInput(options.goal_input, options.goal_style, options.goal_color)
-    return KeypointRecipe(
-        attempts, KeypointOptions(options.backbone, options.weights, goal_input, Changes(options.new_looks))
-    )
-
-
-def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> TransporterRecipe:
-    painted = GoalInput("painted", options.goal_style, options.goal_color)
-    chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw, rearranged=options.rearranged)
-    rectifier = None
-    if from_camera(attempts):
-        rectifier = rectifier_for(attempts, options.data)
-        attempts = [rectified(attempt, rectifier) for attempt in attempts]
-        attempts = with_seen_symmetry(attempts)
-        attempts = with_turns(attempts, np.random.default_rng(options.seed))
-    shown = read_demonstrations(attempts, options.symmetry, painted)
-    return TransporterRecipe(shown, chosen, rectifier)
-
-
-def _say_symmetry(recipe: TransporterRecipe) -> None:
-    things = " or ".join(_looks(times) for times in recipe.symmetry["things"])
-    common = recipe.symmetry["all"]
-    of_all = "" if len(recipe.symmetry["things"]) == 1 else f"; all of it {_looks(common)}"
-    Console(stderr=True).print(
-        f"what is picked looks {things}{of_all} (symmetry {recipe.symmetry['origin']})"
-    )
-
-
-def _looks(times: int) -> str:
-    if times == 0:
-        return "the same at any angle"
-    return "the same only after a whole turn" if times == 1 else f"the same {times} times a turn"
-
-
-def _record(options: TrainOptions, split: Split, steps: int, rule: str) -> dict[str, Any]:
-    """What `config.yaml` says of the training: all that decides its result."""
+def _record(options: TrainOptions, split: Split, steps: int) -> dict[str, Any]:
+    """What `config.yaml` says of any training; with what the recipe adds, all that decides its result."""
     return {
         "data": str(options.data),
         "task": split.train[0].task,
         "labels": _fingerprint(split.train),
         "seed": options.seed,
         "steps": steps,
-        "weights": options.weights,
-        "new_looks": options.new_looks,
-        "rearranged": options.rearranged,
         "split": {
-            "rule": rule,
+            "rule": split.rule,
             "train": [attempt.attempt_id for attempt in split.train],
             "val": [attempt.attempt_id for attempt in split.val],
         },
@@ -197,7 +135,7 @@ def _fingerprint(attempts: Sequence[Attempt]) -> str:
 
 def _begun_with(options: TrainOptions, recipe: Recipe) -> int | None:
     """The steps of a training that an older version began in the folder, where that usually took so many."""
-    if not isinstance(recipe, TransporterRecipe) or not (options.out / checkpoint.CONFIG).exists():
+    if recipe.steps_before is None or not (options.out / checkpoint.CONFIG).exists():
         return None
     begun = checkpoint.read_config(options.out).get("training") or {}
     return recipe.steps_before if begun.get("steps") == recipe.steps_before else None
@@ -208,9 +146,12 @@ def _claim(options: TrainOptions, policy: LearnedPolicy, accelerator: Accelerato
     path = options.out / checkpoint.CONFIG
     if path.exists():
         found, asked = checkpoint.read_config(options.out), policy.config()
-        # An older version's run is taken for one of this task, these attempts and this camera.
-        unsaid = {name: asked["training"][name] for name in _LATELY if name in asked["training"]}
-        found["training"] = unsaid | found.get("training", {})
+        # An older version's run is taken for one of this task, these attempts and this camera; of options that other
+        # policies have it said the defaults.
+        known = asked["training"]
+        unsaid = {name: known[name] for name in _LATELY if name in known}
+        said = found.get("training", {}).items()
+        found["training"] = unsaid | {name: value for name, value in said if name in known}
         found["camera_size"] = asked["camera_size"]
         if _chosen(found) != _chosen(asked):
             raise DataError(

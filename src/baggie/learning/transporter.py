@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -15,11 +15,22 @@ from torch.optim import Adam, Optimizer
 
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import FloatArray, rotation, wrap_angle
-from baggie.learning.demonstrations import Demonstrations
-from baggie.learning.loop import Batch
+from baggie.learning.demonstrations import (
+    Demonstrations,
+    from_camera,
+    read_demonstrations,
+    rectified,
+    rectifier_for,
+    with_seen_symmetry,
+    with_turns,
+)
+from baggie.learning.loop import Batch, Recipe
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
-from baggie.policies.learned import LearnedPolicy
-from baggie.policies.transporter.config import Preset, TransporterConfig
+from baggie.learning.split import Split, split_episodes
+from baggie.options.choices import Preset
+from baggie.options.training import TransporterTraining
+from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
 from baggie.policies.transporter.scores import PlaceAngle, Scores
@@ -61,13 +72,12 @@ class TransporterOptions:
     """Of whole scenes."""
 
 
-class TransporterRecipe:
+class TransporterRecipe(Recipe):
     """Scenes are moved as wholes; the place is learned relative to a pick that is a little off, as picks are."""
 
     average: ClassVar[bool] = True
     max_gradient: ClassVar[float | None] = 10.0
-    steps_before: ClassVar[int] = 3200
-    """Of older versions, whose trainings go on."""
+    steps_before = 3200
     policy: TransporterPolicy
 
     def __init__(
@@ -99,7 +109,7 @@ class TransporterRecipe:
         self.policy = TransporterPolicy(
             network, shown.grid, shown.cell, shown.goal_input, rectifier, scale=shown.scale
         )
-        self.symmetry = {
+        self.looks = {
             "origin": demonstrations.symmetry_origin,
             "things": np.unique(demonstrations.symmetry).tolist(),
             "all": demonstrations.common_symmetry,
@@ -113,6 +123,35 @@ class TransporterRecipe:
         self._grasps = np.where(beside, _FINGERS, np.lcm(_FINGERS, demonstrations.symmetry))
         self._batch = options.batch or _BATCH[options.preset]
         self.steps = _STEPS[options.preset]
+        if self.looks["origin"] in ("given", "found"):  # else what each attempt says is as good
+            self.symmetry = demonstrations.common_symmetry
+
+    @classmethod
+    def of(cls, options: TransporterTraining, attempts: Sequence[Attempt]) -> Self:
+        """The recipe that a command asks for. Raises `BaggieError` for what cannot be learned from together."""
+        painted = GoalInput("painted", options.goal_style, options.goal_color)
+        chosen = TransporterOptions(options.preset, pick_yaw=options.pick_yaw, rearranged=options.rearranged)
+        rectifier = None
+        if from_camera(attempts):
+            rectifier = rectifier_for(attempts, options.data)
+            attempts = with_seen_symmetry([rectified(attempt, rectifier) for attempt in attempts])
+            attempts = with_turns(attempts, np.random.default_rng(options.seed))
+        return cls(read_demonstrations(attempts, options.symmetry, painted), chosen, rectifier)
+
+    @classmethod
+    def split(cls, attempts: Sequence[Attempt], train: int | None, val: int | None) -> Split:
+        """By whole episodes, but for one camera's pictures."""
+        return (Split.of if from_camera(attempts) else split_episodes)(attempts, train, val)
+
+    def chosen(self) -> dict[str, Any]:
+        """How many maps are rearranged, how often a turn things look the same."""
+        return {"rearranged": self.options.rearranged, "symmetry": self.looks}
+
+    def note(self) -> str:
+        """How often a turn things look the same, and who said so."""
+        things = " or ".join(_looks(times) for times in self.looks["things"])
+        of_all = "" if len(self.looks["things"]) == 1 else f"; all of it {_looks(self.looks['all'])}"
+        return f"what is picked looks {things}{of_all} (symmetry {self.looks['origin']})"
 
     def optimizer(self) -> Optimizer:
         """Adam, as published; at ten times the rate for `fast`."""
@@ -179,6 +218,8 @@ class TransporterRecipe:
         parts = {name: part.detach() for name, part in zip(names, losses, strict=True)}
         return torch.stack(losses).sum(), parts
 
-    def finish(self, policy: LearnedPolicy, val: Sequence[Attempt]) -> dict[str, Any]:
-        """Nothing: it says where, and not how surely."""
-        return {}
+
+def _looks(times: int) -> str:
+    if times == 0:
+        return "the same at any angle"
+    return "the same only after a whole turn" if times == 1 else f"the same {times} times a turn"

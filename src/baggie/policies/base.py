@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from baggie.errors import DataError
 from baggie.policies import checkpoint
+from baggie.registry import Registry
 
 if TYPE_CHECKING:
     from baggie.types import Goal, Observation, Plan
 
+_HERE = "baggie.policies"
 CLASSES = {
     "ColorMaskPolicy": "color_mask",
     "DemonstratorPolicy": "oracle",
@@ -23,12 +25,6 @@ CLASSES = {
     "TransporterPolicy": "transporter.policy",
 }
 """Each is imported when it is first needed: an exported policy must run where there is no PyTorch."""
-_SAVED = {
-    "keypoint": "KeypointPolicy",
-    "regression": "RegressionPolicy",
-    "transporter": "TransporterPolicy",
-    "color-mask": "ColorMaskPolicy",
-}
 
 
 class Policy(ABC):
@@ -57,6 +53,19 @@ class Policy(ABC):
         return load_policy(source, device)
 
 
+POLICIES: Registry[type[Policy]] = Registry(
+    "baggie.policies",
+    {
+        "keypoint": f"{_HERE}.keypoint.policy:KeypointPolicy",
+        "regression": f"{_HERE}.regression.policy:RegressionPolicy",
+        "transporter": f"{_HERE}.transporter.policy:TransporterPolicy",
+        "color-mask": f"{_HERE}.color_mask:ColorMaskPolicy",
+    },
+    "policy",
+)
+"""Those that can be saved and loaded, by the name that stands in their folder's `config.yaml`."""
+
+
 def load_policy(source: str | Path, device: str = "cpu") -> Policy:
     """The policy saved in a folder, or under a Hub id `owner/name`: a training run's, or what `baggie export` made.
 
@@ -65,13 +74,13 @@ def load_policy(source: str | Path, device: str = "cpu") -> Policy:
     """
     folder = checkpoint.fetch(source)
     name = checkpoint.read_config(folder)["policy"]
-    if name not in _SAVED:
-        raise DataError(f"{folder} holds a policy {name!r}; known are {', '.join(_SAVED)}")
+    if name not in POLICIES:
+        raise DataError(f"{folder} holds a policy {name!r}; known are {', '.join(POLICIES.names())}")
     if checkpoint.is_exported(folder):
         exported: Policy = _module("exported").load_exported(folder, device)
         return exported
     try:
-        kind: type[Policy] = class_named(_SAVED[name])
+        kind = POLICIES[name]
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
@@ -88,4 +97,4 @@ def class_named(name: str) -> type[Policy]:
 
 
 def _module(name: str) -> Any:
-    return import_module(f"baggie.policies.{name}")
+    return import_module(f"{_HERE}.{name}")

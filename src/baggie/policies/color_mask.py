@@ -14,6 +14,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import read_yaml, write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
+from baggie.options.choices import COLOR_MASK
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
@@ -25,7 +26,7 @@ CONFIG_FILE = "config.yaml"
 class ColorMaskPolicy(Policy):
     """Picks the object where its colour is, places it where the goal's outline is; right in one cell."""
 
-    name = "color-mask"
+    name = COLOR_MASK
 
     def __init__(self, image_to_robot: ImageToRobot, object_color: tuple[int, int, int]) -> None:
         """Use a map fitted in the cell the pictures come from, and the object's RGB colour."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from baggie.errors import BaggieError, DataError, install_extra
+from baggie.options.evaluating import ExportOptions
 from baggie.policies import checkpoint, load_policy
 from baggie.policies.exported import Graph
 from baggie.policies.keypoint.plan import Reading
@@ -33,19 +34,6 @@ _PICTURES = 5
 """On which both are compared before anything is written."""
 
 Arrays = Mapping[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """Write a trained policy as files that run without PyTorch.
-
-    Example: baggie export --policy runs/keypoint --out exported/keypoint
-    """
-
-    policy: str
-    """The folder of a training run, or a Hub id."""
-    out: Path
-    """The folder for policy.onnx and config.yaml."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
+from baggie.options.choices import ORACLE
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
 
@@ -17,7 +18,7 @@ class OraclePolicy(Policy):
     only.
     """
 
-    name = "oracle"
+    name = ORACLE
 
     def __init__(
         self,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ from baggie.data.summary import inspect_dataset
 from baggie.data.writer import DatasetWriter
 from baggie.errors import BaggieError, DataError, UsageError
 from baggie.geometry import Grid
+from baggie.options.collecting import ImportOptions
 from baggie.progress import progress_bar
-from baggie.ranges import Bounds, Options, Positive
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensAction, RavensEpisode, RavensFolder, pose_to_planar
 from baggie.types import Attempt, Outcome, PickPlace
@@ -25,50 +24,15 @@ from baggie.types import Attempt, Outcome, PickPlace
 _NOWHERE = np.full((4, 2), np.nan)
 
 
-@dataclass(frozen=True)
-class ImportOptions(Options):
-    """What to import, and where to."""
-
-    out: Path
-    """Folder of the recording. The same command again goes on where it stopped."""
-    task: str | None = None
-    """The instruction in words; the folder's name unless given."""
-    x: Bounds = Grid.x
-    """Bounds of the pictures in the robot's base frame, metres; x becomes the columns."""
-    y: Bounds = Grid.y
-    """The same; y becomes the rows."""
-    z: Bounds = Grid.z
-    """The same; what is higher is not seen."""
-    pixel_m: Positive = Grid.pixel_m
-    """Size of a pixel, metres."""
-
-    @property
-    def grid(self) -> Grid:
-        """Of the pictures. Raises `UsageError` for bounds that make none."""
-        try:
-            return Grid(self.x, self.y, self.z, self.pixel_m)
-        except BaggieError as error:
-            raise UsageError(str(error)) from None
-
-    def command(self, folder: Path) -> str:
-        """The command line that goes on with this import."""
-        words = ["baggie", "import-ravens", str(folder), "--out", str(self.out)]
-        words += [] if self.task is None else ["--task", self.task]
-        for name in ("x", "y", "z"):
-            bounds = getattr(self, name)
-            words += [] if bounds == getattr(Grid, name) else [f"--{name}", *map(str, bounds)]
-        words += [] if self.pixel_m == Grid.pixel_m else ["--pixel-m", str(self.pixel_m)]
-        return shlex.join(words)
-
-
-def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
+def import_ravens(options: ImportOptions) -> dict[str, Any]:
     """Convert all episodes of a Ravens folder; the recording's summary, ready for JSON.
 
     Raises `DataError` when the folder is none of Ravens', an action tilts the object, two episodes have the same
     number, or `options.out` holds another recording; what was converted before stays. Raises `KeyboardInterrupt`, with
     how to go on as its message, when stopped.
     """
-    grid, source = options.grid, RavensFolder(folder)
+    folder, grid = options.folder, _grid(options)
+    source = RavensFolder(folder)
     rows, columns = grid.shape
     _check_numbers(source)
     with DatasetWriter(
@@ -82,10 +46,16 @@ def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
             _convert(source, writer, grid)
         except KeyboardInterrupt:
             begun = f"{len(writer.episodes)} of {len(source)} episodes begun"
-            raise KeyboardInterrupt(
-                f"interrupted with {begun}; go on with: {options.command(folder)}"
-            ) from None
+            raise KeyboardInterrupt(f"interrupted with {begun}; go on with: {options.command()}") from None
     return inspect_dataset(options.out)
+
+
+def _grid(options: ImportOptions) -> Grid:
+    """Of the pictures. Raises `UsageError` for bounds that make none."""
+    try:
+        return Grid(options.x, options.y, options.z, options.pixel_m)
+    except BaggieError as error:
+        raise UsageError(str(error)) from None
 
 
 def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:

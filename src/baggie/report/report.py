@@ -9,12 +9,11 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import tyro
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -24,6 +23,7 @@ from baggie.evaluation.block_episode import BLOCKS
 from baggie.evaluation.episode import EpisodeRecord
 from baggie.evaluation.log import read_log
 from baggie.files import only_ours, read_yaml, write_text
+from baggie.options.evaluating import ReportOptions
 from baggie.report.items import BASELINES, BlockEvaluation, Evaluation, Results, Series, Training, Validation
 from baggie.report.sections import content
 
@@ -165,21 +165,6 @@ def _counted(episodes: Sequence[Logged], metrics: Mapping[str, Any]) -> list[Log
 
 def _json(path: Path) -> Any:
     return json.loads(path.read_text())
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """Put everything that is known about some runs on one self-contained page.
-
-    Example: baggie report runs/keypoint runs/color-mask --out report.html
-    """
-
-    runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders that train, validate or evaluate wrote, or folders of such."""
-    out: Path = Path("report.html")
-    """The page."""
-    title: str | None = None
-    """Its heading; by default what it is about."""
 
 
 def report(options: ReportOptions) -> Path:

@@ -14,6 +14,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
+from baggie.options.choices import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.blocks import CUP_RADIUS_M
 from baggie.sim.cell import Cell, table_top
@@ -29,7 +30,6 @@ from baggie.sim.printed import (
 )
 from baggie.sim.things import Thing, paint
 from baggie.types import Intrinsics
-from baggie.vision.goal_card import CARD_COLOR
 from baggie.vision.height_map import DepthCamera
 
 CUP_OFFSET_M = 0.17

@@ -31,12 +31,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.options.choices import Scenery
 from baggie.seeds import first_fit
 from baggie.sim.bag import Bag, Fabric, Shape
 from baggie.sim.cell import ALL_HUES, UNSEEN, USUAL, Cell, Color, Hues, draw_light, hue_of, random_hue, rgb
@@ -101,8 +101,6 @@ def _room(workspace: Rectangle, bag: PlanarPose, others: Sequence[PlanarPose]) -
         free &= np.hypot(*(places - other.xy).T) >= OBSTACLE_M
     return float(free.mean())
 
-
-Scenery = Literal["plain", "light", "varied", "unseen-bag", "unseen", "two-bags"]
 
 VARIED_HUES: Hues = ((345.0, 372.0), (42.0, 58.0), (205.0, 245.0), (262.0, 282.0))
 UNSEEN_HUES: Hues = ((20.0, 34.0), (68.0, 92.0), (172.0, 195.0), (292.0, 330.0))

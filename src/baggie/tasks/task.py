@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.options.choices import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.blocks import Block, Fixture
 from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.things import Thing
-from baggie.sim.variety import Scenery, Variety
+from baggie.sim.variety import Variety
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
+from baggie.options.choices import CARD_COLOR
 from baggie.types import Image
 from baggie.vision.color_mask import (
     FIRST_THRESHOLD,
@@ -216,9 +217,6 @@ def _line(points: FloatArray, tolerance: float) -> tuple[FloatArray, int] | None
     _, _, axes = np.linalg.svd(near - middle)
     return np.array([*axes[1], -axes[1] @ middle]), len(near)
 
-
-CARD_COLOR = (26, 140, 51)
-"""RGB of the cards that `baggie print-target goal-card` makes."""
 
 _MIN_AREA, _MAX_AREA = 8e-4, 0.25
 """Of the picture: a card 6 cm wide, 1 m from a camera that sees 1.8 m of table; one right under it."""

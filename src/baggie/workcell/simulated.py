@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.options.choices import USUAL_TASK, Scenery
+from baggie.registry import TASKS
 from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
@@ -19,12 +21,12 @@ from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.renderer import Film
 from baggie.sim.sensor import Exposure
 from baggie.sim.things import Thing
-from baggie.sim.variety import Scenery, lay_bags
+from baggie.sim.variety import lay_bags
 from baggie.sim.world import World
-from baggie.tasks import USUAL, Scene, Setting, Task, find_task
 from baggie.tasks.demonstrator import next_action, varied_action
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, strict_success
+from baggie.tasks.task import Scene, Setting, Task
 from baggie.types import Image, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.vision.targets import Target
@@ -58,7 +60,7 @@ class SimulatedWorkcell(Workcell):
         pictures: bool = True,
     ) -> None:
         """`task`: the usual one unless given; `things`: the task's. `picture_size`: of the overhead camera, pixels."""
-        self.task = task or find_task(USUAL)
+        self.task = task or TASKS[USUAL_TASK]
         self.scenery: Scenery = scenery
         self._things = tuple(self.task.things if things is None else things)
         self._cell = draw_cell(cell, picture_size)
@@ -283,7 +285,7 @@ def _describing(bag: Bag, settings: WorkcellSettings) -> WorkcellSettings:
 
 def open_simulated(
     cell: int = 0,
-    task: str = USUAL,
+    task: str = USUAL_TASK,
     *,
     settings: WorkcellSettings | None = None,
     scenery: Scenery = "plain",
@@ -297,7 +299,7 @@ def open_simulated(
     """
     return SimulatedWorkcell(
         cell,
-        find_task(task),
+        TASKS[task],
         settings=settings,
         scenery=scenery,
         picture_size=picture_size,

@@ -7,13 +7,14 @@ The network of the `keypoint` policy: a U-Net, two spatial soft-argmax heads, an
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.geometry import FloatArray
+from baggie.options.choices import Backbone
 from baggie.policies.keypoint import heads as planar_map
 from baggie.policies.keypoint.heads import (
     CHANNELS,
@@ -29,8 +30,6 @@ from baggie.policies.keypoint.heads import (
 )
 from baggie.policies.keypoint.plan import CELL
 from baggie.policies.regression.policy import IMAGENET_MEAN, IMAGENET_STD, ResNet18
-
-Backbone = Literal["small", "resnet18"]
 
 
 class Features(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import huggingface_hub
 import numpy as np
@@ -24,19 +24,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.errors import DataError
+from baggie.options.choices import DrawnStyle, Statistics
 from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.regression.plan import goal_input, network_input, plan
-from baggie.types import DrawnStyle, Goal, Image, Observation, Plan, marked
+from baggie.types import Goal, Image, Observation, Plan, marked
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 _HUB_FILE = "model.safetensors"
-
-
-Statistics = Literal["running", "picture"]
-"""What a trained network normalises by: averages over its training, as published, or each picture's own."""
 
 
 class PictureNorm(nn.BatchNorm2d):

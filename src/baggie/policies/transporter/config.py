@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from baggie.errors import BaggieError
+from baggie.options.choices import Preset
 
-Preset = Literal["fast", "paper"]
 _FEWEST_BINS = 3
 """So that the best bin has two neighbours, between which an angle can be read."""
 

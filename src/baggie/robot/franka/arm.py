@@ -15,11 +15,10 @@ import numpy as np
 
 from baggie.errors import ReachError, StuckError
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
-from baggie.robot.arm import CLEAR_Z_M, ArmInfo
+from baggie.robot.arm import CLEAR_Z_M
 from baggie.robot.franka.link import CollisionError, FrankaLink, HiccupError, load_franky
-from baggie.robot.franka.models import MODELS, PARK, ModelName
+from baggie.robot.franka.models import MAX_SPEED_M_S, MODELS, PARK, ModelName
 
-MAX_SPEED_M_S = 1.7
 ROTATION_SPEED_RAD_S = 2.5  # of the tool; Franka's limit
 PARK_SPEED_SHARE = 0.5  # of what the joints can do
 ACCELERATION_SHARE = 0.3
@@ -51,9 +50,7 @@ class FrankaArm:
         self._link = FrankaLink(host, realtime)
         self._speed = speed
         self._stopped = False
-        self.info = ArmInfo(
-            f"{self._model.title} at {host}", max_width_m=0.08, max_speed_m_s=MAX_SPEED_M_S, max_force_n=70.0
-        )
+        self.info = self._model.info(host)
 
     def pose(self) -> ToolPose:
         """Where the tool is now, by forward kinematics of the measured joints."""

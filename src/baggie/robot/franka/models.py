@@ -11,6 +11,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
+from baggie.robot.arm import ArmInfo
 
 if TYPE_CHECKING:
     import mujoco
@@ -27,6 +28,7 @@ PARK = np.array([0.0, -1.1, 0.0, -2.75, 0.0, 1.75, 0.7853])
 """Joint angles of an arm drawn back, so that a camera sees the table, radians."""
 TOOL_OFFSET_M = 0.1034
 """From the hand's frame to the point between the fingertips (Franka's hand, data sheet)."""
+MAX_SPEED_M_S = 1.7
 JOINT_MARGIN_RAD = 0.05
 """Kept from the ends of every joint: near them the robot brakes by itself, which ends as an error."""
 
@@ -39,6 +41,11 @@ class FrankaModel:
     lower_rad: FloatArray
     upper_rad: FloatArray
     speed_rad_s: FloatArray
+
+    def info(self, host: str) -> ArmInfo:
+        """What such an arm with Franka's hand can do, at the address `host`."""
+        name = f"{self.title} at {host}"
+        return ArmInfo(name, max_width_m=0.08, max_speed_m_s=MAX_SPEED_M_S, max_force_n=70.0)
 
     def kinematics(self) -> Kinematics:
         """Of the point between the fingertips of Franka's hand, within these limits less a margin."""

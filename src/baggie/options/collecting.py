@@ -1,21 +1,19 @@
-"""What can be said about a collection."""
+"""What can be said about recordings: collecting one, looking into it, making one of somebody else's."""
 
 from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, get_args
+
+from annotated_types import Interval
+from tyro.conf import Positional
 
 from baggie.errors import UsageError
-from baggie.ranges import Count, NotNegative, Options, Seed, Workers
-from baggie.tasks import TASKS, USUAL, find_task
-
-CollectedScenery = Literal["plain", "varied"]
-"""What a recording may show: what others show is kept for evaluation."""
-
-CollectedStyle = Literal["plain", "varied"]
-"""How whoever demonstrates goes about it."""
+from baggie.options.choices import USUAL_TASK, CollectedScenery, CollectedStyle
+from baggie.options.ranges import Bounds, Count, NotNegative, Options, Positive, Seed, Workers
+from baggie.registry import TASKS
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class CollectOptions(Options):
 
     out: Path
     """Folder of the recording. The same command again goes on where it stopped."""
-    task: str = USUAL
+    task: str = USUAL_TASK
     """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
     which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner,
     block-insertion.
@@ -51,7 +49,7 @@ class CollectOptions(Options):
     def check(self) -> None:
         """Raise `UsageError` for what cannot be collected."""
         if self.task not in TASKS:
-            raise UsageError(f"expected a task among {', '.join(TASKS)}, got {self.task!r}")
+            raise UsageError(f"expected a task among {', '.join(TASKS.names())}, got {self.task!r}")
         for name, chosen, known in (
             ("scenery", self.scenery, get_args(CollectedScenery)),
             ("style", self.style, get_args(CollectedStyle)),
@@ -70,7 +68,7 @@ class CollectOptions(Options):
             )
 
         if not self.demonstrated and self.style != "plain":
-            shown = [name for name, task in TASKS.items() if not task.has_goal]
+            shown = [name for name, task in TASKS.all().items() if not task.has_goal]
             raise UsageError(
                 f"expected no --style with --task {self.task}, which nobody demonstrates, got {self.style}; leave it "
                 f"out, or take a task among {', '.join(shown)}"
@@ -79,7 +77,7 @@ class CollectOptions(Options):
     @property
     def demonstrated(self) -> bool:
         """Whether a script shows it, in several steps."""
-        return not find_task(self.task).has_goal
+        return not TASKS[self.task].has_goal
 
     @property
     def watched(self) -> bool:
@@ -95,4 +93,47 @@ class CollectOptions(Options):
         words += [] if self.workcell is None else ["--workcell", str(self.workcell)]
         words += [] if self.workers is None else ["--workers", str(self.workers)]
         words += [] if self.wait == 0 else ["--wait", f"{self.wait:g}"]
+        return shlex.join(words)
+
+
+@dataclass(frozen=True)
+class InspectOptions(Options):
+    """Which recording, and where to draw."""
+
+    data: Positional[Path]
+    """The recording's folder."""
+    sheet: Path | None = None
+    """Where to draw the pictures before and after every attempt; DATA/contact-sheet.png unless given, if that can be
+    written."""
+    columns: Annotated[int, Interval(ge=1, le=1000)] = 6
+    """Attempts in a row of the contact sheet."""
+
+
+@dataclass(frozen=True)
+class ImportOptions(Options):
+    """What to import, and where to."""
+
+    folder: Positional[Path]
+    """The folder of a task's demonstrations."""
+    out: Path
+    """Folder of the recording. The same command again goes on where it stopped."""
+    task: str | None = None
+    """The instruction in words; the folder's name unless given."""
+    x: Bounds = (0.25, 0.75)
+    """Bounds of the pictures in the robot's base frame, metres; x becomes the columns."""
+    y: Bounds = (-0.5, 0.5)
+    """The same; y becomes the rows."""
+    z: Bounds = (0.0, 0.28)
+    """The same; what is higher is not seen."""
+    pixel_m: Positive = 0.003125
+    """Size of a pixel, metres."""
+
+    def command(self) -> str:
+        """The command line that goes on with this import."""
+        words = ["baggie", "import-ravens", str(self.folder), "--out", str(self.out)]
+        words += [] if self.task is None else ["--task", self.task]
+        for name in ("x", "y", "z"):
+            bounds = getattr(self, name)
+            words += [] if bounds == getattr(type(self), name) else [f"--{name}", *map(str, bounds)]
+        words += [] if self.pixel_m == type(self).pixel_m else ["--pixel-m", str(self.pixel_m)]
         return shlex.join(words)

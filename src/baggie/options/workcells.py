@@ -1,4 +1,4 @@
-"""What can be said about a lab."""
+"""What can be said about a workcell and its surroundings: its file, its check-up, the virtual lab, printed targets."""
 
 from __future__ import annotations
 
@@ -6,9 +6,46 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
+
+from annotated_types import Interval
+from tyro.conf import Positional
 
 from baggie.errors import UsageError
-from baggie.ranges import NotNegative, Options, Port, Seed
+from baggie.options.choices import CARD_COLOR
+from baggie.options.ranges import Color, NotNegative, Options, Port, Seed
+
+
+@dataclass(frozen=True)
+class NewWorkcellOptions:
+    """Write a workcell file."""
+
+    out: Positional[Path] = Path("cell.yaml")
+    """Where to; a file that is there already is left as it is."""
+
+
+@dataclass(frozen=True)
+class ShowWorkcellOptions:
+    """Show what a workcell file says."""
+
+    file: Positional[Path]
+    """The workcell file."""
+
+
+@dataclass(frozen=True)
+class DoctorOptions(Options):
+    """Check a workcell."""
+
+    workcell: Positional[str] = "sim"
+    """A workcell file, or `sim`."""
+    cell: Seed = 0
+    """Number of the simulated workcell."""
+    move: Literal["ask", "yes", "no"] = "ask"
+    """Whether the arm may move, slowly, through the whole workspace: clear the table, and have the stop at hand. With
+    `yes` nobody is asked for anything: what needs a person is not tried."""
+    lab: str | None = None
+    """Address of the virtual lab that the workcell is in, such as http://127.0.0.1:8090: it does what a person would
+    have to."""
 
 
 @dataclass(frozen=True)
@@ -61,3 +98,20 @@ class LabOptions(Options):
                 )
             faults.append((name, after_s))
         return faults
+
+
+@dataclass(frozen=True)
+class PrintOptions(Options):
+    """What to print, and on what."""
+
+    target: Positional[str] = "board"
+    """board, hand-marker, table-marker, hand-board, goal-card, or a target in full such as
+    charuco:7x5:0.030:0.021:DICT_4X4_50, chessboard:9x6:0.025 or aruco:DICT_4X4_50:3:0.10 (metres)."""
+    out: Path | None = None
+    """The PDF; TARGET.pdf unless given."""
+    paper: str | None = None
+    """A4 or A3; what the target was made for unless given."""
+    size: Annotated[float, Interval(gt=0, le=1)] = 0.13
+    """Side of a goal card, metres."""
+    color: Color = CARD_COLOR
+    """RGB of a goal card."""

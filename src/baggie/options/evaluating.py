@@ -1,4 +1,4 @@
-"""What `baggie evaluate` may be asked."""
+"""What can be said about judging a policy, about telling others, and about taking it elsewhere."""
 
 from __future__ import annotations
 
@@ -7,16 +7,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from baggie.errors import UsageError
-from baggie.policies import ColorMaskPolicy, OraclePolicy
-from baggie.ranges import Count, Number, Options, Positive, Seed, Workers
-from baggie.sim.variety import Scenery
-from baggie.tasks import TASKS, USUAL, find_task
+from tyro.conf import Positional
 
-GoalKind = Literal["virtual", "turned", "card"]
-"""How a goal is given: marked square to the workspace, marked at any angle, or by a card that really lies there."""
+from baggie.errors import UsageError
+from baggie.options.choices import COLOR_MASK, ORACLE, USUAL_TASK, GoalKind, Scenery
+from baggie.options.ranges import Count, Number, Options, Positive, Seed, Workers
+from baggie.registry import TASKS
+
 _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
 """What means nothing with blocks: they have a cell and goals of their own, and a task says what counts."""
+
+
+@dataclass(frozen=True)
+class ValidateOptions(Options):
+    """Measure pick and place errors on attempts the policy never learned from.
+
+    Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
+    """
+
+    policy: str
+    """A training run's folder, a Hub id, or `color-mask`."""
+    data: Path
+    """The recording."""
+    out: Path
+    """Where metrics.json, predictions.json and pictures/ go."""
+    last: Count = 50
+    """For a policy that was not trained: how many successful attempts, from the end, to measure it on."""
+    calibration: Path | None = None
+    """For `color-mask`: its image-to-robot map. By default the one in the recording's calibration/ folder."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +50,7 @@ class EvaluateOptions(Options):
     """A training run's folder, a Hub id, `color-mask` (bags only), or `oracle`, which reads the simulator's truth."""
     out: Path
     """Where metrics.json, the log of episodes, pictures and videos go."""
-    task: str = USUAL
+    task: str = USUAL_TASK
     """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
     block-pyramid, place-red-in-green, align-box-corner, block-insertion.
     """
@@ -72,7 +90,7 @@ class EvaluateOptions(Options):
     def check(self) -> None:
         """Raise `UsageError` for what cannot be evaluated."""
         for name, chosen, known in (
-            ("task", self.task, TASKS),
+            ("task", self.task, TASKS.names()),
             ("scenery", self.scenery, get_args(Scenery)),
             ("goal", self.goal, get_args(GoalKind)),
         ):
@@ -86,7 +104,7 @@ class EvaluateOptions(Options):
     @property
     def of_blocks(self) -> bool:
         """Whether the task itself says where things go, and not a goal in the picture."""
-        return not find_task(self.task).has_goal
+        return not TASKS[self.task].has_goal
 
     @property
     def processes(self) -> int:
@@ -100,7 +118,7 @@ class EvaluateOptions(Options):
                 f"expected --scenery plain and --goal virtual or turned {given}got {self.scenery} and {self.goal}; "
                 "nobody lays another table or a card there between scenes"
             )
-        if self.policy == OraclePolicy.name:
+        if self.policy == ORACLE:
             raise UsageError(
                 f"expected a policy that looks {given}got {self.policy}: nobody knows the truth there"
             )
@@ -112,10 +130,38 @@ class EvaluateOptions(Options):
             if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
                 raise UsageError(
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
-                    f"take --task {USUAL}"
+                    f"take --task {USUAL_TASK}"
                 )
-        if self.policy == ColorMaskPolicy.name:
+        if self.policy == COLOR_MASK:
             raise UsageError(
                 f"expected a policy that looks at height maps with --task {self.task}, got {self.policy}, which finds "
                 "bags; give the folder of a transporter run, or oracle"
             )
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Put everything that is known about some runs on one self-contained page.
+
+    Example: baggie report runs/keypoint runs/color-mask --out report.html
+    """
+
+    runs: Positional[tuple[Path, ...]]
+    """Folders that train, validate or evaluate wrote, or folders of such."""
+    out: Path = Path("report.html")
+    """The page."""
+    title: str | None = None
+    """Its heading; by default what it is about."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write a trained policy as files that run without PyTorch.
+
+    Example: baggie export --policy runs/keypoint --out exported/keypoint
+    """
+
+    policy: str
+    """The folder of a training run, or a Hub id."""
+    out: Path
+    """The folder for policy.onnx and config.yaml."""

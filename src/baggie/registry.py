@@ -1,0 +1,114 @@
+"""What there is by name, ours and that of other installed packages; each is imported when it is first asked for.
+
+A package adds to a group by an entry point: in its pyproject.toml, `[project.entry-points."baggie.policies"]` and below
+it `mine = "my_package.module:MyPolicy"`.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+import warnings
+from collections.abc import Mapping
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from baggie.errors import BaggieError, BaggieWarning
+
+if TYPE_CHECKING:
+    from baggie.tasks.task import Task
+
+T = TypeVar("T")
+
+
+def named(name: str) -> Any:
+    """The object of a dotted name, `module:attribute`, imported. Raises `ImportError` or `AttributeError`."""
+    return pkgutil.resolve_name(name)
+
+
+class Registry(Generic[T]):
+    """Objects by name: `own` ones, `module:attribute` each, and those of a group of entry points."""
+
+    def __init__(self, group: str, own: Mapping[str, str], noun: str) -> None:
+        """`noun`: what one of them is called in an error, such as `policy`."""
+        self.group = group
+        self._own = own
+        self._noun = noun
+        self._found: dict[str, T] = {}
+
+    def names(self) -> list[str]:
+        """All there are, ours first; nothing is imported for it. Warns, once, of a name taken twice."""
+        return [*self._own, *self._others]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in self._others
+
+    def __getitem__(self, name: str) -> T:
+        """The object of this name, imported. Raises `BaggieError` where there is none.
+
+        One of another package that cannot be imported is left out from then on, with a warning.
+        """
+        self._import(name)
+        if name not in self._found:
+            raise BaggieError(f"expected a {self._noun} among {', '.join(self.names())}, got {name!r}")
+        return self._found[name]
+
+    def all(self) -> dict[str, T]:
+        """All that can be imported, by name."""
+        for name in self.names():
+            self._import(name)
+        return {name: self._found[name] for name in self.names()}
+
+    def _import(self, name: str) -> None:
+        """Keep the object of this name, if there is one; another package's may be left out."""
+        if name in self._found:
+            return
+        if name in self._own:
+            self._found[name] = named(self._own[name])
+        elif name in self._others:
+            self._import_other(name, self._others[name])
+
+    def _import_other(self, name: str, point: EntryPoint) -> None:
+        try:
+            self._found[name] = point.load()
+        except Exception as error:  # whatever somebody else's module may raise
+            del self._others[name]
+            why = " ".join(str(error).split()) or type(error).__name__
+            warnings.warn(
+                f"the {self._noun} {name!r} of {_whose(point)} is left out: {point.value} cannot be imported ({why})",
+                BaggieWarning,
+                stacklevel=4,
+            )
+
+    @cached_property
+    def _others(self) -> dict[str, EntryPoint]:
+        others: dict[str, EntryPoint] = {}
+        for point in entry_points(group=self.group):
+            if point.name in self._own or point.name in others:
+                kept = "Baggie's" if point.name in self._own else f"that of {_whose(others[point.name])}"
+                warnings.warn(
+                    f"the {self._noun} {point.name!r} of {_whose(point)} is left out: {kept} goes by that name",
+                    BaggieWarning,
+                    stacklevel=4,
+                )
+            else:
+                others[point.name] = point
+        return others
+
+
+def _whose(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value
+
+
+TASKS: Registry[Task] = Registry(
+    "baggie.tasks",
+    {
+        "bag-place": "baggie.tasks.bag_place:BAG_PLACE",
+        "block-pyramid": "baggie.tasks.block_pyramid:BLOCK_PYRAMID",
+        "place-red-in-green": "baggie.tasks.place_red_in_green:PLACE_RED_IN_GREEN",
+        "align-box-corner": "baggie.tasks.align_box_corner:ALIGN_BOX_CORNER",
+        "block-insertion": "baggie.tasks.block_insertion:BLOCK_INSERTION",
+    },
+    "task",
+)
+"""What has to be done: a new one is one file and one line here, or an entry point of another package."""
