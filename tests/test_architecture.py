@@ -23,7 +23,7 @@ ROOMS = [
         "types",
         "metrics",
     ),
-    *("results", "processes", "progress", "ranges", "seeds"),
+    *("results", "operator", "processes", "ranges", "seeds"),
     *(
         "vision",
         "calibration",

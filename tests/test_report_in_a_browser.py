@@ -11,7 +11,7 @@ from threading import Thread
 import pytest
 
 from baggie.report.report import ReportOptions, report
-from test_report import fused, in_process, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
+from test_report import fused, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: sudo apt-get install chromium")

@@ -19,10 +19,11 @@ from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot, compare
 from baggie.commissioning.printed import HAND_BOARD
-from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, From, LiveOptions, ViewFolder, open_bench
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.operator import Operator
 from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
 from baggie.vision.corners import FLAT
@@ -53,11 +54,14 @@ class HandEyeOptions(LiveOptions):
     """How many to take, live."""
 
 
-def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_hand_eye(options: HandEyeOptions, *, operator: Operator | None = None) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     folder = options.from_
     if folder is None:
-        with open_bench(options) as bench:
+        with open_bench(options, operator) as bench:
             folder = take_hand_eye_views(bench, options)
     result = solve_hand_eye(read_views(folder), keep_all=options.keep_all)
     result.save(options.out)
@@ -122,7 +126,7 @@ def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
             lead_to_random_pose(bench, cell.settings.workspace, rng, words)
             picture = bench.camera.look().color
             seen = board.detect(picture)
-            show_live(folder.folder, picture, seen, words)
+            bench.show(folder.folder, picture, seen, words)
             if seen is None:
                 missed += 1
                 if missed == MAX_MISSES:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from accelerate import Accelerator
-from rich.console import Console
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
@@ -34,6 +33,7 @@ from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import EPISODES_RULE, RULE, Split, split_episodes
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
+from baggie.operator import Line, Nobody, Operator, TerminalOperator
 from baggie.policies import checkpoint
 from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy, check_device
@@ -50,18 +50,22 @@ def train(
     options: TrainOptions,
     attempts: Sequence[Attempt] | None = None,
     make_recipe: Callable[[Sequence[Attempt]], Recipe] | None = None,
+    *,
+    operator: Operator | None = None,
 ) -> dict[str, Any]:
     """Train a policy, or go on with it, or find it finished; returns what stands in its `metrics.json`.
 
     `attempts` replaces the recording that `options.data` names; `make_recipe` makes a recipe of your own from those to
     learn from, in place of the policy that the options name. The last weights (the last average of them,
     where the recipe keeps one) are the result, by rule: nothing is chosen by looking. The truth of simulated
-    attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
+    attempts goes into `metrics.json` and nowhere else. The person at the terminal is told how far it is, unless
+    `operator` is given. Raises `BaggieError` for what a user can mend, and
     KeyboardInterrupt, whose message says how to go on, when stopped.
     """
     options.check()
     check_unmixed(options.out, TRAINING)
     accelerator = _accelerator(options.device)
+    operator = (operator or TerminalOperator()) if accelerator.is_main_process else Nobody()
     recorded = open_dataset(options.data) if attempts is None else attempts
     of_episodes = options.policy == TransporterPolicy.name and not from_camera(recorded)
     split = (split_episodes if of_episodes else Split.of)(recorded, options.train, options.val)
@@ -76,22 +80,24 @@ def train(
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
-        Console(stderr=True).print(note)
+        operator.tell(Line(note))
         finished: dict[str, Any] = read_json(options.out / METRICS)
         return finished
-    if None in (options.train, options.val) and accelerator.is_main_process:
+    if None in (options.train, options.val):
         train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
-        Console(stderr=True).print(
+        numbers = (
             f"learning from {train} attempts, measuring on {val} others (--train and --val say how many)"
         )
-    if isinstance(recorded, Dataset) and recorded.squeezed and accelerator.is_main_process:
+        operator.tell(Line(numbers))
+    if isinstance(recorded, Dataset) and recorded.squeezed:
         (width, height), (to_width, to_height) = recorded.camera_size, recorded.settings.picture_size
-        Console(stderr=True).print(
+        squeezed = (
             f"these pictures of {width} x {height} were squeezed to {to_width} x {to_height} when they were recorded; "
             "the policy will squeeze what it sees alike"
         )
-    if isinstance(recipe, TransporterRecipe) and accelerator.is_main_process:
-        _say_symmetry(recipe)
+        operator.tell(Line(squeezed))
+    if isinstance(recipe, TransporterRecipe):
+        operator.tell(Line(_symmetry(recipe)))
     training = Training(
         recipe,
         options.out,
@@ -99,6 +105,7 @@ def train(
         seed=options.seed,
         save_every_s=options.save_every_s,
         accelerator=accelerator,
+        operator=operator,
     )
     symmetry = options.symmetry
     if isinstance(recipe, TransporterRecipe) and recipe.symmetry["origin"] == "found":
@@ -155,13 +162,12 @@ def _transporter_recipe(options: TrainOptions, attempts: Sequence[Attempt]) -> T
     return TransporterRecipe(shown, chosen, rectifier)
 
 
-def _say_symmetry(recipe: TransporterRecipe) -> None:
+def _symmetry(recipe: TransporterRecipe) -> str:
+    """How often a turn what is picked looks the same, in words."""
     things = " or ".join(_looks(times) for times in recipe.symmetry["things"])
     common = recipe.symmetry["all"]
     of_all = "" if len(recipe.symmetry["things"]) == 1 else f"; all of it {_looks(common)}"
-    Console(stderr=True).print(
-        f"what is picked looks {things}{of_all} (symmetry {recipe.symmetry['origin']})"
-    )
+    return f"what is picked looks {things}{of_all} (symmetry {recipe.symmetry['origin']})"
 
 
 def _looks(times: int) -> str:

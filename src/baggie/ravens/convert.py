@@ -16,7 +16,7 @@ from baggie.data.summary import inspect_dataset
 from baggie.data.writer import DatasetWriter
 from baggie.errors import BaggieError, DataError, UsageError
 from baggie.geometry import Grid
-from baggie.progress import progress_bar
+from baggie.operator import Operator, TerminalOperator, progress
 from baggie.ranges import Bounds, Options, Positive
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensAction, RavensEpisode, RavensFolder, pose_to_planar
@@ -61,9 +61,12 @@ class ImportOptions(Options):
         return shlex.join(words)
 
 
-def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
+def import_ravens(
+    folder: Path, options: ImportOptions, *, operator: Operator | None = None
+) -> dict[str, Any]:
     """Convert all episodes of a Ravens folder; the recording's summary, ready for JSON.
 
+    The person at the terminal is told how far it is, unless `operator` is given.
     Raises `DataError` when the folder is none of Ravens', an action tilts the object, two episodes have the same
     number, or `options.out` holds another recording; what was converted before stays. Raises `KeyboardInterrupt`, with
     how to go on as its message, when stopped.
@@ -79,7 +82,7 @@ def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
         collection={"ravens": Path(folder).resolve().name, "grid": asdict(grid)},
     ) as writer:
         try:
-            _convert(source, writer, grid)
+            _convert(source, writer, grid, operator or TerminalOperator())
         except KeyboardInterrupt:
             begun = f"{len(writer.episodes)} of {len(source)} episodes begun"
             raise KeyboardInterrupt(
@@ -88,7 +91,7 @@ def import_ravens(folder: Path, options: ImportOptions) -> dict[str, Any]:
     return inspect_dataset(options.out)
 
 
-def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
+def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid, operator: Operator) -> None:
     recorded = writer.episodes
     # They are recorded one after the other, so all but the last of them are whole.
     last = next(reversed(recorded), None)
@@ -97,7 +100,7 @@ def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
     if last in numbers:
         missing.insert(0, numbers.index(last))
     attempt_id = max(writer.attempt_ids, default=-1) + 1
-    with progress_bar("converting episodes", len(source), len(source) - len(missing)) as advance:
+    with progress(operator, "converting episodes", len(source), len(source) - len(missing)) as advance:
         for i in missing:
             episode = source[i]
             for attempt in attempts_of(
