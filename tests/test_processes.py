@@ -9,8 +9,13 @@ import pytest
 
 from baggie.errors import BaggieError, NobodyError
 from baggie.operator import Caution, Nobody, Operator, choice, errand
-from baggie.processes import LocalProcesses
+from baggie.processes import Executor, LocalProcesses
 from scripted import Scripted
+from streaming import Here
+
+executors = pytest.mark.parametrize(
+    "executor", [LocalProcesses(), Here()], ids=lambda each: type(each).__name__
+)
 
 
 def times(factor: int, _operator: Operator):
@@ -27,8 +32,9 @@ def times(factor: int, _operator: Operator):
     return run
 
 
-def test_processes_stream_every_result():
-    results = LocalProcesses().stream(functools.partial(times, 10), range(7), 2, Nobody())
+@executors
+def test_every_result_of_every_task_comes_back(executor: Executor):
+    results = executor.stream(functools.partial(times, 10), range(7), 2, Nobody())
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
 
 
@@ -46,19 +52,20 @@ def asking(operator: Operator):
     return run
 
 
-def test_a_worker_tells_and_asks_whoever_watches_over_the_one_that_started_it():
+@executors
+def test_a_worker_tells_and_asks_whoever_watches_over_the_one_that_started_it(executor: Executor):
     person = Scripted("odd", "", "neither", "", "")
-    results = LocalProcesses().stream(asking, [3, 4], 1, person)
+    results = executor.stream(asking, [3, 4], 1, person)
     assert list(results) == [(3, True, "odd"), (4, True, "fine")]
     assert person.told == [Caution("3 comes"), Caution("4 comes")]
     again = "'neither' will not do (expected fine or odd); how is 4?"
     assert person.asked == ["how is 3?", "lay 3 aside", "how is 4?", again, "lay 4 aside"]
 
 
-def test_where_nobody_watches_a_worker_hears_that_nobody_answers():
+@executors
+def test_where_nobody_watches_a_worker_hears_that_nobody_answers(executor: Executor):
     results = {
-        task: (attended, said)
-        for task, attended, said in LocalProcesses().stream(asking, range(3), 2, Nobody())
+        task: (attended, said) for task, attended, said in executor.stream(asking, range(3), 2, Nobody())
     }
     assert results == {
         task: (False, f"nobody answers: how is {task}?; run this in a terminal") for task in range(3)
