@@ -51,8 +51,8 @@ def examine(
 ) -> list[Finding]:
     """What came of all checks, failed ones too.
 
-    The person at the terminal, or the `operator` given, is asked whether the arm may move, and to lay and hold what a
-    check needs, unless there is a `helper`. Simulated workcells and labs help themselves.
+    A person is asked whether the arm may move, and to lay and hold what a check needs: the one at the terminal unless
+    `operator` is given. A `helper` lays and holds things instead, as simulated workcells and labs do by themselves.
     """
     from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
 
