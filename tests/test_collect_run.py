@@ -217,7 +217,7 @@ if __name__ == "__main__":
 def start(out: Path, tmp_path: Path) -> subprocess.Popen[str]:
     script = tmp_path / "child.py"
     script.write_text(CHILD)
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     return subprocess.Popen(
         [sys.executable, str(script), str(out)], env=environment, stderr=subprocess.PIPE, text=True
     )
