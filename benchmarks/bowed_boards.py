@@ -33,7 +33,8 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration, 
 from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.intrinsics.views import BoardView
 from baggie.geometry import FloatArray
-from baggie.processes import stream_in_processes
+from baggie.operator import Nobody, Operator
+from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.types import Image, Intrinsics
 from baggie.vision.targets import Seen, parse_target
@@ -125,7 +126,7 @@ def main(options: Options) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     missing = [task for task in (*shaped, *stated) if not (options.out / task.name).exists()]
     for _ in track(
-        stream_in_processes(partial(open_worker, options.out), missing, options.workers),
+        LocalProcesses().stream(partial(open_worker, options.out), missing, options.workers, Nobody()),
         "cameras",
         total=len(missing),
     ):
@@ -173,7 +174,7 @@ STATED_NOTES = (
 # -- pictures --------------------------------------------------------------------------------------
 
 
-def open_worker(folder: Path) -> Callable[[Task], Iterable[str]]:
+def open_worker(folder: Path, _operator: Operator) -> Callable[[Task], Iterable[str]]:
     """What a process does with a camera."""
     cv2.setNumThreads(1)
 

@@ -20,7 +20,6 @@ from typing import Any
 import cv2
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.progress import track
 
 from baggie.calibration.files import CameraIdentity
@@ -47,6 +46,7 @@ from baggie.commissioning.simulated_assistant import SimulatedAssistant, board_i
 from baggie.errors import BaggieError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, invert_transform, rigid, transform_points
+from baggie.operator import Nobody, Operator
 from baggie.options.calibrating import (
     CameraToWorldOptions,
     HandEyeOptions,
@@ -56,7 +56,7 @@ from baggie.options.calibrating import (
     RobotToWorldOptions,
 )
 from baggie.options.choices import BOARD, HAND_BOARD
-from baggie.processes import stream_in_processes
+from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.sim.cell import Cell, draw_cell
 from baggie.types import Observation
@@ -97,7 +97,7 @@ def main(options: Options) -> None:
         {row["cell"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
     )
     missing = [number for number in range(options.cells) if number not in done]
-    results = stream_in_processes(partial(open_worker, options.out), missing, options.workers)
+    results = LocalProcesses().stream(partial(open_worker, options.out), missing, options.workers, Nobody())
     with path.open("a") as log:
         for row in track(results, "cells", total=len(missing)):
             log.write(json.dumps(row) + "\n")
@@ -121,7 +121,7 @@ NOTES = (
 )
 
 
-def open_worker(folder: Path) -> Callable[[int], Iterable[dict[str, Any]]]:
+def open_worker(folder: Path, _operator: Operator) -> Callable[[int], Iterable[dict[str, Any]]]:
     """What a process does with a cell's number."""
     cv2.setNumThreads(1)
 
@@ -326,10 +326,9 @@ class Blurred:
 def pictures(number: int, folder: Path) -> dict[str, Truth]:
     """Every calibration as its command makes it, from rendered pictures; those in `folder` are not taken again."""
     rng = np.random.default_rng([4, number])
-    with open_bench(LiveOptions(cell=number, seed=number)) as bench:
+    with open_bench(LiveOptions(cell=number, seed=number), Nobody()) as bench:
         cell = bench.workcell()
         assert isinstance(cell, SimulatedWorkcell)
-        bench.console = Console(quiet=True)
         blurred: Any = Blurred(cell.camera, float(rng.uniform(0.3, 1.0)))
         cell.camera = bench.camera = blurred
         return live(bench, cell, folder)

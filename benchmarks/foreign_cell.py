@@ -213,8 +213,8 @@ class Way:
     def doctor(self) -> dict[str, Any]:
         """Everything it checks, moving included, with somebody who lays and holds what it asks for."""
         self.clear()
-        options = DoctorOptions(str(self.file))
-        findings = [asdict(finding) for finding in examine(options, lambda _: True, Helper(self))]
+        options = DoctorOptions(str(self.file), move="yes")
+        findings = [asdict(finding) for finding in examine(options, helper=Helper(self))]
         well = sum(finding["verdict"] == "ok" for finding in findings)
         return {"row": {"came of it": f"{well} of {len(findings)} checks ok"}, "findings": findings}
 

@@ -20,9 +20,10 @@ from baggie.learning import KeypointTraining, train
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe
 from baggie.learning.split import Split
 from baggie.metrics import yaw_error_deg
+from baggie.operator import Nobody, Operator
 from baggie.policies import load_policy
 from baggie.policies.keypoint.policy import KeypointPolicy
-from baggie.processes import stream_in_processes
+from baggie.processes import LocalProcesses
 from baggie.types import Attempt
 
 ERRORS = "errors.json"
@@ -60,12 +61,13 @@ def _split(recording: Path, train: int, val: int) -> Split:
 def teach_all(lessons: Sequence[Lesson], runs: Path, workers: int = 2) -> dict[str, dict[str, Any]]:
     """Errors by lesson's name; two lessons at a time on one thread each. What is there already is kept."""
     missing = [lesson for lesson in lessons if not (runs / lesson.name / ERRORS).exists()]
-    for done, name in enumerate(stream_in_processes(partial(_open_worker, runs), missing, workers), start=1):
+    taught = LocalProcesses().stream(partial(_open_worker, runs), missing, workers, Nobody())
+    for done, name in enumerate(taught, start=1):
         print(f"{done}/{len(missing)} {name}", flush=True)
     return {lesson.name: json.loads((runs / lesson.name / ERRORS).read_text()) for lesson in lessons}
 
 
-def _open_worker(runs: Path) -> Callable[[Lesson], Iterable[str]]:
+def _open_worker(runs: Path, _operator: Operator) -> Callable[[Lesson], Iterable[str]]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     return partial(_teach, runs)

@@ -26,7 +26,7 @@ ROOMS = [
         "types",
         "metrics",
     ),
-    *("results", "processes", "progress", "seeds"),
+    *("results", "operator", "processes", "seeds"),
     *(
         "vision",
         "calibration",
@@ -101,6 +101,17 @@ def test_a_room_knows_only_those_below_it() -> None:
         if module != "baggie" and (other == "baggie" or height[room_of(other)] > height[room_of(module)])
     ]
     assert not upward
+
+
+def test_only_an_operator_speaks_to_a_person_and_the_command_prints_what_comes_back() -> None:
+    speaking = {
+        module
+        for module, path in modules().items()
+        for node in imports_of(ast.parse(path.read_text()))
+        if {"rich.console", "rich.progress", "rich.status"}
+        & {*(alias.name for alias in node.names), getattr(node, "module", None)}
+    }
+    assert {room_of(module) for module in speaking} <= {"operator", "cli"}
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:

@@ -1,6 +1,5 @@
 """Cameras of every shape go the whole way: collect, train, validate, evaluate, export, plan."""
 
-import importlib
 import json
 from contextlib import closing
 from dataclasses import replace
@@ -35,10 +34,8 @@ from baggie.types import Goal
 from baggie.workcell.config import open_workcell
 from baggie.workcell.workcell_file import read_workcell_file
 from fake_workcell import FakeCell
-from streaming import stream_here
+from streaming import Here
 from synthetic import TASK, box_corners, image_to_robot, make_attempt
-
-module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
 
 SHAPES = {(640, 480): (640, 480), (848, 480): (640, 362), (720, 450): (640, 400), (480, 640): (480, 640)}
 """Sizes of cameras' pictures, and those they are recorded at."""
@@ -96,11 +93,6 @@ def test_a_map_of_squeezed_pictures_leads_to_the_same_places(squeezed):
 # --- a camera of that shape
 
 
-@pytest.fixture
-def here(monkeypatch):
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
-
-
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     """By the size of the camera's pictures."""
@@ -108,9 +100,8 @@ def recordings(tmp_path_factory):
     @lru_cache
     def record(size):
         out = tmp_path_factory.mktemp("recordings") / "night"
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "stream_in_processes", stream_here)
-            collect(CollectOptions(out=out, attempts=10, workers=1), partial(open_shape, size=size))
+        options = CollectOptions(out=out, attempts=10, workers=1)
+        collect(options, partial(open_shape, size=size), executor=Here())
         return out
 
     return record
@@ -163,11 +154,11 @@ def test_the_colour_mask_is_right_in_every_shape(recordings, size, tmp_path, bel
     below("pick (cm)", metrics["truth"]["pick_error_cm"]["max"], 0.6)
 
 
-@pytest.mark.usefixtures("here")
 def test_another_camera_cannot_go_on_with_a_recording(recordings):
     recording = recordings((640, 480))
+    options = CollectOptions(out=recording, attempts=14, workers=1)
     with pytest.raises(BaggieError, match="as when this recording was calibrated, got one of 500 x 300"):
-        collect(CollectOptions(out=recording, attempts=14, workers=1), partial(open_shape, size=(500, 300)))
+        collect(options, partial(open_shape, size=(500, 300)), executor=Here())
 
 
 # --- nights that an older version squeezed
@@ -239,21 +230,20 @@ def test_the_colour_mask_is_right_on_squeezed_pictures(squeezed, tmp_path, below
     below("pick (cm)", metrics["truth"]["pick_error_cm"]["max"], 0.6)
 
 
-@pytest.mark.usefixtures("here")
 def test_an_older_recording_goes_on_as_it_was_begun(tmp_path, capsys):
     """Squeezed as before: pictures of two shapes in one recording would be of no use."""
     options, opened = (
         CollectOptions(out=tmp_path, attempts=1, workers=1),
         partial(open_shape, size=(640, 480)),
     )
-    collect(options, opened)
+    collect(options, opened, executor=Here())
     settings = json.loads((tmp_path / "attempts/collection.json").read_text())
     assert settings["picture_size"] == [640, 480]
     (tmp_path / "attempts/collection.json").write_text(json.dumps(settings | {"picture_size": [640, 360]}))
     for part in ("attempts/chunk-000", "data", "meta"):  # as if it had just been begun
         for path in (tmp_path / part).rglob("*.*"):
             path.unlink()
-    collect(options, opened)
+    collect(options, opened, executor=Here())
     assert open_dataset(tmp_path)[0].before.size == (640, 360)
     assert "are squeezed to 640 x 360, as they were when this" in " ".join(capsys.readouterr().err.split())
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from baggie.collect import CollectOptions, collect
-from baggie.collect import demonstrations as module
 from baggie.collect.demonstrations import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
@@ -16,7 +15,7 @@ from baggie.evaluation.choices_of_scene import choices_of_scene
 from baggie.geometry import Grid
 from baggie.registry import TASKS
 from baggie.types import PickPlace
-from streaming import stream_here
+from streaming import Here
 
 GRID = Grid()
 COUNT = 2
@@ -55,10 +54,7 @@ def test_an_episode_is_shown_step_by_step_and_its_rewards_add_up(recorded: Path)
     assert numbers["success"].all()
 
 
-def test_a_recording_cut_short_goes_on_to_the_same_arrays(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+def test_a_recording_cut_short_goes_on_to_the_same_arrays(recorded: Path, tmp_path: Path) -> None:
     whole = open_dataset(recorded)
     out = tmp_path / "again"
     # Some of the second demonstration is there, as a kill leaves it.
@@ -72,7 +68,7 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(
         collection=settings.collection,
     ) as writer:
         writer.append(begun)
-    collect(options(out, workers=1))
+    collect(options(out, workers=1), executor=Here())
     again = open_dataset(out)
     assert again.attempt_ids.tolist() == whole.attempt_ids.tolist()
     np.testing.assert_array_equal(again.colors(), whole.colors())
@@ -81,21 +77,18 @@ def test_a_recording_cut_short_goes_on_to_the_same_arrays(
     for name in ("commanded", "executed", "reward", "episode", "step", "time"):
         np.testing.assert_array_equal(mine[name], theirs[name])
     before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
-    collect(options(out, workers=1))  # all is there
+    collect(options(out, workers=1), executor=Here())  # all is there
     assert {path: path.read_bytes() for path in out.rglob("*.parquet")} == before
     shutil.rmtree(out)
 
 
-def test_the_style_of_others_is_recorded_and_shown_again_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+def test_the_style_of_others_is_recorded_and_shown_again_alike(tmp_path: Path) -> None:
     chosen = CollectOptions(
         tmp_path / "a", task="align-box-corner", attempts=2, seed=1, style="varied", workers=1
     )
     assert "--style varied" in chosen.command()
-    collect(chosen)
-    collect(replace(chosen, out=tmp_path / "b"))
+    collect(chosen, executor=Here())
+    collect(replace(chosen, out=tmp_path / "b"), executor=Here())
     first, again = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "b")
     assert first.collection["style"] == "varied"
     np.testing.assert_array_equal(first.numbers()["commanded"], again.numbers()["commanded"])

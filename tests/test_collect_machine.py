@@ -33,10 +33,11 @@ from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
-from baggie.processes import nobody
+from baggie.operator import Nobody
 from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
 from fake_workcell import FakeCell
+from scripted import Scripted
 
 SIZE = (640, 360)
 RECORDING = Recording("put the bean bag on the goal", 0, 0, (320, 180))
@@ -58,12 +59,12 @@ def cell() -> FakeCell:
 def long_turn(image_to_robot: ImageToRobot) -> Turn:
     settings = WorkcellSettings(object_size_m=(0.15, 0.10, 0.03), object_symmetry=2)
     cell = FakeCell(settings, size=SIZE)
-    return Turn(cell, image_to_robot, seeds.generator(0), nobody)
+    return Turn(cell, image_to_robot, seeds.generator(0), Nobody())
 
 
 @pytest.fixture
 def turn(cell: FakeCell, image_to_robot: ImageToRobot) -> Turn:
-    return Turn(cell, image_to_robot, seeds.generator(0), nobody)
+    return Turn(cell, image_to_robot, seeds.generator(0), Nobody())
 
 
 def seen(turn: Turn) -> Turn:
@@ -273,13 +274,12 @@ def test_a_cell_helps_itself_a_few_times_and_then_nobody_does(turn):
 
 
 def test_a_person_is_asked_where_the_cell_does_not_help_itself_as_long_as_anybody_answers(turn):
-    answers, asked = [True] * 9, []
+    turn.operator = person = Scripted(*[""] * 9)
     turn.cell.helps, turn.trouble = False, "the bag is gone"
-    turn.ask = lambda question: asked.append(question) or bool(answers and answers.pop())
     for _ in range(9):
         assert machine.ask(turn) is State.LOOK
     assert machine.ask(turn) is State.STOPPED
-    assert asked == ["the bag is gone"] * 10
+    assert person.asked == ["the bag is gone"] * 10
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,7 @@ def test_nobody_to_help_stops_with_a_line(turn):
 
 
 def test_a_sitting_is_ten_numbered_attempts(cell, image_to_robot):
-    attempts = list(run_sitting(cell, image_to_robot, RECORDING, 3, ask=nobody))
+    attempts = list(run_sitting(cell, image_to_robot, RECORDING, 3, operator=Nobody()))
     assert [attempt.attempt_id for attempt in attempts] == list(range(30, 40))
     for attempt in attempts:
         assert attempt.before.size == RECORDING.size
@@ -357,7 +357,7 @@ def test_a_sitting_is_ten_numbered_attempts(cell, image_to_robot):
 
 
 def test_long_bags_are_squared_up_along_either_axis(long_turn):
-    attempts = list(run_sitting(long_turn.cell, long_turn.image_to_robot, RECORDING, 2, ask=nobody))
+    attempts = list(run_sitting(long_turn.cell, long_turn.image_to_robot, RECORDING, 2, operator=Nobody()))
     assert all(attempt.outcome.success for attempt in attempts)
     yaws = [math.remainder(attempt.truth.after.yaw, math.pi) for attempt in attempts]
     assert all(abs(math.remainder(yaw, math.pi / 2)) < 0.2 for yaw in yaws)
@@ -365,7 +365,7 @@ def test_long_bags_are_squared_up_along_either_axis(long_turn):
 
 
 def test_boxes_are_in_the_pixels_of_the_recorded_picture(cell, image_to_robot):
-    attempt = next(iter(run_sitting(cell, image_to_robot, RECORDING, 0, ask=nobody)))
+    attempt = next(iter(run_sitting(cell, image_to_robot, RECORDING, 0, operator=Nobody())))
     pose = attempt.truth.before
     true = cell.camera.project(np.array([[pose.x, pose.y, 0.015]]))[0]
     assert np.linalg.norm(attempt.box_before.mean(axis=0) - ((true + 0.5) / 2 - 0.5)) < 2
@@ -376,13 +376,13 @@ def test_boxes_are_in_the_pixels_of_the_recorded_picture(cell, image_to_robot):
 def test_a_sitting_does_not_depend_on_what_the_cell_did_before(image_to_robot, number):
     fresh, used = FakeCell(size=SIZE), FakeCell(size=SIZE)
     for _ in zip(
-        range(2), run_sitting(used, image_to_robot, RECORDING, number + 1, ask=nobody), strict=False
+        range(2), run_sitting(used, image_to_robot, RECORDING, number + 1, operator=Nobody()), strict=False
     ):
         pass
     pairs = zip(
         range(2),
-        run_sitting(fresh, image_to_robot, RECORDING, number, ask=nobody),
-        run_sitting(used, image_to_robot, RECORDING, number, ask=nobody),
+        run_sitting(fresh, image_to_robot, RECORDING, number, operator=Nobody()),
+        run_sitting(used, image_to_robot, RECORDING, number, operator=Nobody()),
         strict=False,
     )
     for _, a, b in pairs:
@@ -394,7 +394,7 @@ def test_a_sitting_does_not_depend_on_what_the_cell_did_before(image_to_robot, n
 @pytest.mark.parametrize("failure", ["dropped", "lost-bag", "missed-grasp", "unreachable"])
 def test_each_failure_is_recorded_and_the_sitting_goes_on(cell, image_to_robot, failure):
     repeats = 3 if failure in ("missed-grasp", "unreachable") else 1
-    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, operator=Nobody())
     first = next(sitting)
     cell.script = [failure] * repeats
     second, third = next(sitting), next(sitting)
@@ -403,22 +403,20 @@ def test_each_failure_is_recorded_and_the_sitting_goes_on(cell, image_to_robot, 
 
 
 def test_an_unmoved_bag_after_a_success_is_a_stall_that_is_asked_about(cell, image_to_robot):
-    questions = []
-    sitting = run_sitting(
-        cell, image_to_robot, RECORDING, 1, ask=lambda question: questions.append(question) or True
-    )
+    person = Scripted("")
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, operator=person)
     cell.reset((0,))
     cell.helps = False
     next(sitting)
     cell.script = ["stalled"]
     assert next(sitting).outcome.failure == "stalled"
     assert next(sitting).outcome.success
-    assert "still where it was" in questions[0]
+    assert "still where it was" in person.asked[0]
 
 
 def test_a_frozen_camera_stalls(cell, image_to_robot):
     cell.helps = False
-    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, operator=Nobody())
     next(sitting)
     cell.frozen = cell.look()
     assert next(sitting).outcome.failure == "stalled"
@@ -428,7 +426,7 @@ def test_a_frozen_camera_stalls(cell, image_to_robot):
 
 def test_where_the_arm_does_not_get_there_again_and_again_its_own_words_are_passed_on(cell, image_to_robot):
     cell.helps = False
-    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, ask=nobody)
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, operator=Nobody())
     cell.script = ["unreachable"] * MAX_TRIES * STALL_AFTER
     with pytest.raises(
         Stopped, match=r"in a row failed.*unreachable: the arm did not get there \(.+\): put the"
@@ -437,14 +435,12 @@ def test_where_the_arm_does_not_get_there_again_and_again_its_own_words_are_pass
 
 
 def test_many_failures_in_a_row_stop_it_where_only_the_cell_helps_once(cell, image_to_robot):
-    questions = []
-    sitting = run_sitting(
-        cell, image_to_robot, RECORDING, 1, ask=lambda question: bool(questions.append(question))
-    )
+    person = Scripted()
+    sitting = run_sitting(cell, image_to_robot, RECORDING, 1, operator=person)
     cell.script = ["dropped"] * 2 * STALL_AFTER
     seen_failures = []
     with pytest.raises(Stopped, match="in a row failed") as caught:
         seen_failures.extend(attempt.outcome.failure for attempt in sitting)
     assert seen_failures == ["dropped"] * (2 * STALL_AFTER)
-    assert (cell.rescues, len(questions)) == (1, 1)
+    assert (cell.rescues, len(person.asked)) == (1, 1)
     assert "\n" not in str(caught.value)

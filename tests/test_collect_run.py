@@ -1,5 +1,4 @@
 import errno
-import importlib
 import io
 import json
 import math
@@ -11,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,16 +24,17 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.cell import what_opens
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
-from baggie.collect.sitting import Help, Recording
+from baggie.collect.machine import helped
+from baggie.collect.sitting import Awaited, Recording
 from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
+from baggie.operator import Line, Nobody, TerminalOperator
 from baggie.options.collecting import CollectOptions
 from fake_workcell import open_fake, open_faulty, open_unhelped
-from streaming import stream_here
-
-module = importlib.import_module("baggie.collect.collect")  # the package has a function of that name
+from scripted import Scripted
+from streaming import Here
 
 
 def assert_same(a: Path, b: Path) -> None:
@@ -47,10 +48,8 @@ def assert_same(a: Path, b: Path) -> None:
         assert np.array_equal(one.after.color, other.after.color)
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """No process of its own for a collection of few attempts."""
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+collect_here = partial(collect, executor=Here())
+"""No process of its own for a collection of few attempts."""
 
 
 @pytest.fixture(scope="module")
@@ -98,13 +97,13 @@ def test_another_scenery_is_not_mixed_in(reference):
         collect(CollectOptions(out=reference, attempts=14, seed=3, scenery="varied"), open_fake)
 
 
-def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path, here):
+def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
     file, out = tmp_path / "cell.yaml", tmp_path / "data"
 
     def go_on(written, attempts):
         file.write_text(written)
         given = CollectOptions(out=out, attempts=attempts, workers=1, workcell=file)
-        return collect(given, open_fake)["attempts"]
+        return collect_here(given, open_fake)["attempts"]
 
     bag = "arm: sim\nbag: {length_m: 0.13, width_m: 0.13}\n"
     assert go_on(bag, 1) == 1
@@ -113,7 +112,7 @@ def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path, here)
         with pytest.raises(DataError, match="recorded with workcell"):
             go_on(other, 3)
     with pytest.raises(DataError, match="recorded with workcell"):
-        collect(CollectOptions(out=out, attempts=3, workers=1), open_fake)
+        collect_here(CollectOptions(out=out, attempts=3, workers=1), open_fake)
     settings = out / "attempts/collection.json"
     content = json.loads(settings.read_text())
     del content["collection"]["workcell"]  # as an older version wrote it
@@ -136,19 +135,19 @@ def test_a_recording_says_which_arm_moved(reference, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("before", "goes_on"), [("python", True), ("lerobot", True), ("simulated FR3", False)]
 )
-def test_an_older_recording_that_did_not_say_which_goes_on(tmp_path, here, before, goes_on):
+def test_an_older_recording_that_did_not_say_which_goes_on(tmp_path, before, goes_on):
     options = CollectOptions(out=tmp_path, attempts=1, workers=1)
-    collect(options, open_fake)
+    collect_here(options, open_fake)
     settings = tmp_path / "attempts/collection.json"
     settings.write_text(settings.read_text().replace('"fake"', f'"{before}"'))
     if goes_on:
-        assert collect(options, open_fake)["attempts"] == 1
+        assert collect_here(options, open_fake)["attempts"] == 1
     else:
         with pytest.raises(DataError, match="robot_type = 'simulated FR3', not 'fake'"):
-            collect(options, open_fake)
+            collect_here(options, open_fake)
 
 
-def test_a_bag_of_the_usual_height_is_recorded_as_ever(tmp_path, here):
+def test_a_bag_of_the_usual_height_is_recorded_as_ever(tmp_path):
     file, out = tmp_path / "cell.yaml", tmp_path / "data"
     table = []
     for bag in ("", "bag: {height_m: 0.03, hard: false}\n", "bag: {height_m: 0.05, hard: true}\n"):
@@ -183,8 +182,8 @@ def test_the_command_goes_on_with_the_same_scenery():
 
 
 @pytest.mark.parametrize(("scenery", "kept"), [("plain", True), ("varied", False)])
-def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, here, scenery, kept):
-    collect(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
+def test_a_picture_to_compare_with_is_kept_where_bumps_are_watched_for(tmp_path, scenery, kept):
+    collect_here(CollectOptions(out=tmp_path, attempts=1, workers=1, scenery=scenery), open_fake)
     assert (tmp_path / "calibration" / REFERENCE_FILE).exists() == kept
 
 
@@ -195,7 +194,11 @@ def test_without_a_reference_nothing_is_watched(reference):
     recording = Recording("", 0, 0, (320, 180))
     image_to_robot = load_policy(reference / "calibration").image_to_robot
     _open_worker(
-        lambda number: opened.append(open_fake(number)) or opened[0], image_to_robot, recording, None
+        lambda number: opened.append(open_fake(number)) or opened[0],
+        image_to_robot,
+        recording,
+        None,
+        Nobody(),
     )
     assert opened[0].watch is None
 
@@ -214,7 +217,7 @@ if __name__ == "__main__":
 def start(out: Path, tmp_path: Path) -> subprocess.Popen[str]:
     script = tmp_path / "child.py"
     script.write_text(CHILD)
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     return subprocess.Popen(
         [sys.executable, str(script), str(out)], env=environment, stderr=subprocess.PIPE, text=True
     )
@@ -250,7 +253,7 @@ def running(pid: int) -> bool:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc: runs on Linux")
 @pytest.mark.parametrize("counts", [(5,), pytest.param((2, 8), marks=pytest.mark.slow)])
-def test_killed_it_ends_with_every_attempt_once_and_no_orphans(reference, here, tmp_path, counts):
+def test_killed_it_ends_with_every_attempt_once_and_no_orphans(reference, tmp_path, counts):
     out = tmp_path / "data"
     for count in counts:
         child = start(out, tmp_path)
@@ -263,7 +266,7 @@ def test_killed_it_ends_with_every_attempt_once_and_no_orphans(reference, here, 
         while any(running(pid) for pid in workers):
             assert time.monotonic() < deadline, "a worker outlived the collection"
             time.sleep(0.05)
-    collect(CollectOptions(out=out, attempts=14, seed=3, workers=1), open_fake)
+    collect_here(CollectOptions(out=out, attempts=14, seed=3, workers=1), open_fake)
     assert_same(reference, out)
 
 
@@ -280,7 +283,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     assert "KeyboardInterrupt" in errors  # the command line turns it into exit status 130
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     write_all, calls = baggie.data.writer.write_all, []
 
     def full(files, partial):
@@ -293,48 +296,40 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, here, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(baggie.data.writer, "write_all", full)
         with pytest.raises(DataError, match="no space left") as caught:
-            collect(options, open_fake)
+            collect_here(options, open_fake)
     assert "\n" not in str(caught.value)
     assert len(open_dataset(tmp_path)) == 3
-    assert collect(options, open_fake)["attempts"] == 5
+    assert collect_here(options, open_fake)["attempts"] == 5
 
 
-def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path, here):
+def test_a_picture_that_cannot_be_written_costs_no_numbers(tmp_path):
     (tmp_path / COVERAGE_FILE).mkdir()
     with pytest.warns(BaggieWarning, match=f"{COVERAGE_FILE} cannot be written"):
-        summary = collect(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
+        summary = collect_here(CollectOptions(out=tmp_path, attempts=2, seed=3, workers=1), open_fake)
     assert summary["attempts"] == 2
     assert "coverage_picture" not in summary
 
 
-def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path, here):
+def test_nobody_to_help_stops_the_collection_and_keeps_what_there_is(tmp_path):
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
-        collect(options, open_unhelped)
+        collect_here(options, open_unhelped)
     dataset = open_dataset(tmp_path)
     assert dataset.attempt_ids.tolist() == list(range(11))
     assert dataset.failures[-1] == "lost-bag"
 
 
-def test_a_person_at_the_terminal_is_asked_and_it_goes_on(tmp_path, monkeypatch):
-    laid_back, asked = tmp_path / "laid-back", []
+def test_a_person_who_is_there_is_asked_and_it_goes_on(tmp_path, monkeypatch):
+    laid_back = tmp_path / "laid-back"
     monkeypatch.setenv("LAID_BACK", str(laid_back))
-    monkeypatch.setattr(module, "is_attended", lambda: True)
-
-    def help_at_the_second_time(_console, words):
-        asked.append(words)
-        if len(asked) == 2:
-            laid_back.touch()
-        return ""
-
-    monkeypatch.setattr(module, "ask", help_at_the_second_time)
+    person = Scripted("", "", meanwhile=lambda _: laid_back.touch() if len(person.asked) == 2 else None)
     options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1)
-    assert collect(options, open_unhelped)["attempts"] == 13
-    assert asked == ["the object is not in sight: put it back into the workspace, then press Enter"] * 2
+    assert collect(options, open_unhelped, operator=person)["attempts"] == 13
+    assert person.asked == ["the object is not in sight: put it back into the workspace"] * 2
 
 
 def test_a_person_who_leaves_the_terminal_stops_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "is_attended", lambda: True)
+    monkeypatch.setattr(TerminalOperator, "attended", True)
     monkeypatch.setattr(sys, "stdin", io.StringIO())  # Ctrl-D
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
@@ -355,26 +350,32 @@ def test_without_a_terminal_it_waits_as_long_as_told(tmp_path, monkeypatch, caps
 
 @given(st.integers(0, 600), st.lists(st.integers(1, 40), min_size=100, max_size=100))
 def test_a_wait_lasts_as_long_as_told_and_ends_with_a_look(wait_s, looking_s):
-    now, said = [0], []
-    help_ = Help(None, wait_s, said.append, lambda s: now.append(now[-1] + s), lambda: now[-1])
+    now, person = [0], Scripted(attended=False)
+    awaited = Awaited(person, wait_s, sleep=lambda s: now.append(now[-1] + s), clock=lambda: now[-1])
     for seconds in looking_s:
         slept_from = now[-1]
-        if not help_.helped("gone"):
+        if not helped(awaited, "gone"):
             break
         assert slept_from < now[-1] <= wait_s
         now.append(now[-1] + seconds)
     assert now[-1] >= wait_s
-    assert len(said) == (wait_s > 0)
+    assert len(person.told) == (wait_s > 0)
 
 
 def test_each_trouble_has_a_wait_of_its_own():
-    now, said = [0.0], []
-    help_ = Help(None, 50.0, said.append, lambda seconds: now.append(now[-1] + seconds), lambda: now[-1])
+    now, person = [0.0], Scripted(attended=False)
+    awaited = Awaited(person, 50.0, sleep=lambda s: now.append(now[-1] + s), clock=lambda: now[-1])
     for _ in range(3):
-        assert [help_.helped("gone") for _ in range(3)] == [True, True, False]
-        help_.worked()
+        assert [helped(awaited, "gone") for _ in range(3)] == [True, True, False]
+        awaited.worked()
     assert now[-1] == 150.0
-    assert len(said) == 3
+    assert person.told == [Line("gone. Waiting 0.833333 minutes for somebody to help")] * 3
+
+
+def test_where_only_the_simulator_could_help_nobody_is_asked():
+    person = Scripted("")
+    assert not helped(Awaited(person, 0.0, can_help=False), "gone")
+    assert not person.asked
 
 
 @pytest.mark.parametrize(
@@ -393,10 +394,10 @@ def test_impossible_options_are_one_clear_line(tmp_path, change, match):
         collect(CollectOptions(out=tmp_path, **change), open_fake)
 
 
-def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, here, reference, monkeypatch, capsys):
+def test_a_fault_of_arm_or_camera_is_waited_out(tmp_path, reference, monkeypatch, capsys):
     monkeypatch.setenv("FAULTS_LEFT", str(tmp_path / "left"))
     (tmp_path / "left").write_text("1")
-    collect(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
+    collect_here(CollectOptions(out=tmp_path / "data", attempts=4, seed=3, workers=1), open_faulty)
     assert "the cable came off. Trying again in 1 s\n" in capsys.readouterr().err
     assert (tmp_path / "left").read_text() == "0"
     first, again = open_dataset(reference), open_dataset(tmp_path / "data")
@@ -414,17 +415,11 @@ def test_one_arm_is_not_shared_by_workers(tmp_path):
         collect(CollectOptions(out=tmp_path / "data", workcell=file, workers=2))
 
 
-def test_one_arm_has_one_worker_unless_told_otherwise(tmp_path, monkeypatch):
-    file, asked = tmp_path / "cell.yaml", []
+def test_one_arm_has_one_worker_unless_told_otherwise(tmp_path):
+    file, here = tmp_path / "cell.yaml", Here()
     file.write_text("arm: {kind: franka, host: 192.0.2.1}\ncamera: 0\n")
-
-    def stream_and_note(open_worker, tasks, workers, answer):
-        asked.append(workers)
-        return stream_here(open_worker, tasks, workers, answer)
-
-    monkeypatch.setattr(module, "stream_in_processes", stream_and_note)
-    collect(CollectOptions(out=tmp_path / "data", workcell=file, attempts=1), open_fake)
-    assert asked == [1]
+    collect(CollectOptions(out=tmp_path / "data", workcell=file, attempts=1), open_fake, executor=here)
+    assert here.workers == [1]
 
 
 def test_a_workcell_file_is_read_once(reference, tmp_path, monkeypatch):
@@ -442,7 +437,9 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     cell = open_fake()
     cell.repeatable, cell.script = False, [None] * 5
     image_to_robot = load_policy(reference / "calibration").image_to_robot
-    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    sit = _open_worker(
+        lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
+    )
     assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
 
@@ -453,7 +450,9 @@ def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, s
 
     cell = open_fake(miss_rate=0.0)
     image_to_robot = load_policy(reference / "calibration").image_to_robot
-    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    sit = _open_worker(
+        lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
+    )
     first = next(iter(sit((0, 1))))
     cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
     second = next(iter(sit((0, 1))))
@@ -466,7 +465,9 @@ def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(referenc
     cell = open_fake(miss_rate=0.0)
     cell.repeatable = False
     image_to_robot = load_policy(reference / "calibration").image_to_robot
-    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    sit = _open_worker(
+        lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
+    )
     places = [next(iter(sit(tuple(range(first, 10))))).commanded.place for first in range(10)]
     assert len({(place.x, place.y) for place in places}) == 10
 
@@ -477,7 +478,9 @@ def test_where_nobody_knows_the_truth_none_is_recorded(reference, monkeypatch):
     cell = open_fake()
     monkeypatch.setattr(cell, "truth", lambda: None)
     image_to_robot = load_policy(reference / "calibration").image_to_robot
-    sit = _open_worker(lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None)
+    sit = _open_worker(
+        lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
+    )
     (attempt,) = sit((0,))
     assert attempt.outcome.success
     assert attempt.truth is None

@@ -16,7 +16,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.cli.main import main
-from baggie.commissioning.assistant import PersonAtTerminal
+from baggie.commissioning.assistant import Person
 from baggie.commissioning.check import check_live
 from baggie.commissioning.image_to_robot import (
     calibrate_image_to_robot_live,
@@ -41,6 +41,7 @@ from baggie.workcell.config import open_workcell
 from board_pictures import random_pose, render_board
 from fake_workcell import FakeArm, FakeCell
 from recording_arm import RecordingArm
+from scripted import Scripted
 
 CELL = 3
 
@@ -321,23 +322,22 @@ def test_every_target_we_name_can_be_read_and_printed(
 
 
 def test_where_all_is_prepared_nobody_is_asked_but_for_what_comes_later() -> None:
-    asked: list[str] = []
-
-    def ask(words: str) -> str:
-        asked.append(words)
-        return ""
-
+    someone = Scripted(*[""] * 4)
     for prepared in (True, False):
-        person = PersonAtTerminal(ask, prepared=prepared)
+        person = Person(someone, prepared=prepared)
         person.clear_table()
         person.hold(None, "fix it to the hand")
         person.lay(parse_target(HAND_MARKER), "lay it down")
-    assert asked == ["lay it down", "take everything off the table", "fix it to the hand", "lay it down"]
+    assert someone.asked == [
+        "lay it down",
+        "take everything off the table",
+        "fix it to the hand",
+        "lay it down",
+    ]
 
 
 def test_a_person_s_measurement_is_read_or_left_out() -> None:
-    answers = iter(["1 -0.5", "", "far off"])
-    person = PersonAtTerminal(lambda _words: next(answers))
+    person = Person(Scripted("1 -0.5", "", "far off"))
     np.testing.assert_allclose(person.measure_touch("there"), [0.001, -0.0005])
     assert person.measure_touch("there") is None
     assert person.measure_touch("there") is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,18 @@ from baggie.collect import CollectOptions, collect
 from baggie.collect.machine import at_outline, detect
 from baggie.commissioning.image_to_robot import grid
 from baggie.data import open_dataset
-from baggie.evaluation import closed_loop
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import PickPlace
-from streaming import stream_here
+from streaming import Here
 
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
 CUBE = "bag: {length_m: 0.065, width_m: 0.065, height_m: 0.065, hard: true}\n"
 
 
 @pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def file(tmp_path: Path) -> Path:
     """A workcell file, and a map that is right on the table, made at two heights."""
-    monkeypatch.setattr(import_module("baggie.collect.collect"), "stream_in_processes", stream_here)
-    monkeypatch.setattr(closed_loop, "stream_in_processes", stream_here)
     camera = cube_world.CubeCamera(cube_world.CubeWorld())
     robot = grid(WORKSPACE, 0.03, (0.05, 0.15))
     identity = CameraIdentity(camera.name, *camera.size)
@@ -47,7 +43,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_it_is_collected_and_evaluated(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "data"
-    summary = collect(CollectOptions(out=out, workcell=file, attempts=12, seed=1, workers=1))
+    summary = collect(CollectOptions(out=out, workcell=file, attempts=12, seed=1, workers=1), executor=Here())
     recorded = open_dataset(out)
     assert summary["succeeded"] == 12
     assert recorded.settings.robot_type == "cube arm"
@@ -60,7 +56,8 @@ def test_it_is_collected_and_evaluated(file: Path, tmp_path: Path) -> None:
         assert attempt.outcome.grasp_width_m == pytest.approx(0.065)
 
     metrics = evaluate(
-        EvaluateOptions(policy="color-mask", out=tmp_path / "judged", workcell=file, episodes=5, film=0)
+        EvaluateOptions(policy="color-mask", out=tmp_path / "judged", workcell=file, episodes=5, film=0),
+        executor=Here(),
     )
     assert metrics["success"]["rate"] == 1.0
     assert metrics["distance_cm"]["max"] < 1

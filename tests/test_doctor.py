@@ -9,7 +9,6 @@ import pytest
 
 from baggie.cli.main import main
 from baggie.commissioning import health
-from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.doctor import Finding, examine, require_healthy
 from baggie.commissioning.health import HELPED
 from baggie.errors import ArmError, BaggieError, CameraError
@@ -20,6 +19,7 @@ from baggie.sim.arm_world import ArmWorld
 from baggie.types import Observation
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from recording_arm import RecordingArm, TimelessCell
+from scripted import Scripted
 
 
 class ObedientArm(RecordingArm):
@@ -92,40 +92,27 @@ def test_what_is_wrong_is_said_with_a_remedy(check: str, sick: Workcell, error: 
 
 @pytest.mark.slow
 def test_a_simulated_workcell_is_healthy() -> None:
-    asked: list[str] = []
-
-    def leave(question: str) -> bool:
-        asked.append(question)
-        return True
-
-    findings = examine(DoctorOptions(), leave)
+    person = Scripted("y")
+    findings = examine(DoctorOptions(), operator=person)
     require_healthy(findings)
     found = {finding.check: finding.verdict for finding in findings}
-    assert len(asked) == 1
+    assert len(person.asked) == 1
     assert list(found) == ["workcell", *health.STILL, *health.MOVING, *HELPED]
     sick = {name for name, verdict in found.items() if verdict != "ok"}
     assert sick == {"calibrations", "view"}, "a fresh cell has none"
 
 
-class Answers:
-    """Somebody who types these, one after the other, and lays the thing under the hand meanwhile."""
-
-    def __init__(self, arm: ObedientArm, *answers: str) -> None:
-        self.asked: list[str] = []
-        self._arm, self._answers = arm, iter(answers)
-
-    def __call__(self, words: str) -> str:
-        self.asked.append(words)
-        self._arm._floor = 0.04 if "firm thing" in words else 0.0
-        return next(self._answers)
-
-
 def helped(
     monkeypatch: pytest.MonkeyPatch, arm: ObedientArm, *answers: str
-) -> tuple[dict[str, Finding], Answers]:
+) -> tuple[dict[str, Finding], Scripted]:
+    """What is found with somebody who gives leave and these answers, and lays the thing under the hand meanwhile."""
+
+    def lay(words: str) -> None:
+        arm._floor = 0.04 if "firm thing" in words else 0.0
+
     monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm))
-    person = Answers(arm, *answers)
-    findings = examine(DoctorOptions(), lambda _: True, PersonAtTerminal(person))
+    person = Scripted("y", *answers, meanwhile=lay)
+    findings = examine(DoctorOptions(), operator=person)
     return {finding.check: finding for finding in findings}, person
 
 
@@ -135,8 +122,8 @@ def test_a_person_lays_a_firm_thing_and_says_where_the_hand_points(monkeypatch: 
     assert found["force"] == Finding("force", "ok", "felt 3 times at z 40 mm, on a thing of 40 mm")
     assert found["tool x"].verdict == "ok"
     assert found["tool x"].found.endswith("point at 0, as somebody says")
-    assert person.asked[1].startswith("'high' will not do (expected 30 to 168); lay a firm thing")
-    assert person.asked[2].startswith("'4' will not do (expected 30 to 168)")
+    assert person.asked[2].startswith("'high' will not do (expected 30 to 168); lay a firm thing")
+    assert person.asked[3].startswith("'4' will not do (expected 30 to 168)")
     assert max(arm.speeds) <= 0.1
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from hypothesis import strategies as st
 from baggie import seeds
 from baggie.cli.main import main
 from baggie.errors import BaggieError, DataError, ReachError
-from baggie.evaluation import closed_loop as module
 from baggie.evaluation.block_episode import BlockBench, BlockEpisode
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import read_log
@@ -30,7 +30,7 @@ from baggie.policies import DemonstratorPolicy
 from baggie.registry import TASKS
 from baggie.report.report import report
 from baggie.types import Observation, Outcome, PickPlace, Plan
-from streaming import stream_here
+from streaming import Here
 from test_report import Page
 
 TASK = TASKS["block-pyramid"]
@@ -150,9 +150,7 @@ def open_deadly(options):
     return bench
 
 
-@pytest.fixture
-def in_process(monkeypatch):
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+evaluate_here = partial(evaluate, executor=Here())
 
 
 def options(out, **changes):
@@ -169,8 +167,8 @@ def timeless(out):
     return sorted(records, key=lambda record: record["episode"])
 
 
-def test_what_the_demonstrator_does_is_a_success_and_leaves_pictures_of_every_step(tmp_path, in_process):
-    metrics = evaluate(options(tmp_path, film=1), open_right)
+def test_what_the_demonstrator_does_is_a_success_and_leaves_pictures_of_every_step(tmp_path):
+    metrics = evaluate_here(options(tmp_path, film=1), open_right)
     assert metrics["success"] == metrics["ravens_success"] == success_rate(4, 4)
     assert metrics["partial_credit"]["mean"] == 1.0
     assert metrics["failures"] == {}
@@ -194,9 +192,9 @@ def test_what_the_demonstrator_does_is_a_success_and_leaves_pictures_of_every_st
         (open_toppling, ("ravens-only", 4, 1.0)),
     ],
 )
-def test_every_episode_that_fails_has_a_cause(tmp_path, in_process, bench, expected):
+def test_every_episode_that_fails_has_a_cause(tmp_path, bench, expected):
     cause, steps, done = expected
-    metrics = evaluate(options(tmp_path, episodes=1), bench)
+    metrics = evaluate_here(options(tmp_path, episodes=1), bench)
     assert metrics["success"]["rate"] == 0.0
     assert metrics["failures"] == {cause: 1}
     assert metrics["steps"]["max"] == steps
@@ -204,11 +202,10 @@ def test_every_episode_that_fails_has_a_cause(tmp_path, in_process, bench, expec
 
 
 @pytest.mark.slow
-def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path, monkeypatch):
+def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path):
     program = (
         "import sys; from pathlib import Path; import test_evaluation_blocks as t; "
-        "t.module.stream_in_processes = t.stream_here; "
-        "t.evaluate(t.options(Path(sys.argv[1])), t.open_deadly)"
+        "t.evaluate_here(t.options(Path(sys.argv[1])), t.open_deadly)"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     command = [sys.executable, "-c", program, str(tmp_path / "killed")]
@@ -216,21 +213,20 @@ def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tm
     assert killed.returncode == -signal.SIGKILL
     assert [record["episode"] for record in timeless(tmp_path / "killed")] == [0]
     evaluate(options(tmp_path / "killed", workers=2), open_right)
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
-    evaluate(options(tmp_path / "whole"), open_right)
+    evaluate_here(options(tmp_path / "whole"), open_right)
     assert timeless(tmp_path / "killed") == timeless(tmp_path / "whole")
 
 
-def test_the_simulated_oracle_does_a_task(tmp_path, in_process):
-    metrics = evaluate(options(tmp_path, task="place-red-in-green", episodes=1))
+def test_the_simulated_oracle_does_a_task(tmp_path):
+    metrics = evaluate_here(options(tmp_path, task="place-red-in-green", episodes=1))
     assert metrics["success"]["rate"] == metrics["ravens_success"]["rate"] == 1.0
     (record,) = timeless(tmp_path)
     assert sum(step["reward"] for step in record["steps"]) == pytest.approx(record["partial_credit"])
     assert record["partial_credit"] == 1.0
 
 
-def test_records_come_back_as_they_were_logged_and_another_version_is_refused(tmp_path, in_process):
-    evaluate(options(tmp_path, episodes=1), open_right)
+def test_records_come_back_as_they_were_logged_and_another_version_is_refused(tmp_path):
+    evaluate_here(options(tmp_path, episodes=1), open_right)
     log = tmp_path / "block-episodes.jsonl"
     (episode,) = read_log(log, BlockEpisode)
     assert BlockEpisode.from_json(json.loads(json.dumps(episode.to_json()))) == episode
@@ -258,15 +254,15 @@ def test_what_means_nothing_with_blocks_is_refused(tmp_path, change, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_another_task_in_the_same_folder_is_refused(tmp_path, in_process):
-    evaluate(options(tmp_path, episodes=1), open_right)
+def test_another_task_in_the_same_folder_is_refused(tmp_path):
+    evaluate_here(options(tmp_path, episodes=1), open_right)
     with pytest.raises(BaggieError, match="holds an evaluation with task block-pyramid"):
-        evaluate(options(tmp_path, episodes=1, task="align-box-corner"), open_right)
+        evaluate_here(options(tmp_path, episodes=1, task="align-box-corner"), open_right)
 
 
-def test_the_page_shows_success_failures_and_every_step(tmp_path, in_process):
-    evaluate(options(tmp_path / "runs/good", film=1), open_right)
-    evaluate(options(tmp_path / "runs/bad", episodes=2, seed=1, task="align-box-corner"), open_toppling)
+def test_the_page_shows_success_failures_and_every_step(tmp_path):
+    evaluate_here(options(tmp_path / "runs/good", film=1), open_right)
+    evaluate_here(options(tmp_path / "runs/bad", episodes=2, seed=1, task="align-box-corner"), open_toppling)
     text = report(ReportOptions((tmp_path / "runs",), tmp_path / "r.html")).read_text()
     assert "http" not in text
     page = Page(text)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from baggie.policies import ColorMaskPolicy
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Observation, Outcome
 from baggie.workcell.workcell import WorkcellSettings
-from streaming import stream_here
+from streaming import Here
 from synthetic import RED, WORKSPACE, box_corners, to_pixels
 
 SIZE = (320, 180)
@@ -129,9 +130,7 @@ def open_deadly(options):
     return bench
 
 
-@pytest.fixture
-def in_process(monkeypatch):
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
+evaluate_here = partial(evaluate, executor=Here())
 
 
 def options(out, **changes):
@@ -147,8 +146,8 @@ def timeless(out):
     return sorted(lines, key=lambda line: line["episode"])
 
 
-def test_oracle_always_succeeds(tmp_path, in_process):
-    one = evaluate(options(tmp_path / "one"), open_perfect)
+def test_oracle_always_succeeds(tmp_path):
+    one = evaluate_here(options(tmp_path / "one"), open_perfect)
     assert one["success"]["rate"] == 1.0
     assert one["success"]["n"] == 5
     assert one["distance_cm"]["max"] < 1e-9
@@ -163,8 +162,8 @@ def test_oracle_always_succeeds(tmp_path, in_process):
     assert json.loads((tmp_path / "one/metrics.json").read_text()) == one
 
 
-def test_a_known_error_is_what_is_measured(tmp_path, in_process):
-    metrics = evaluate(options(tmp_path), open_off_by_25_mm)
+def test_a_known_error_is_what_is_measured(tmp_path):
+    metrics = evaluate_here(options(tmp_path), open_off_by_25_mm)
     assert metrics["distance_cm"]["median"] == pytest.approx(2.5)
     assert metrics["success"]["rate"] == metrics["success_within"]["1_cm"]["rate"] == 0.0
     assert metrics["success_within"]["3_cm"]["rate"] == 1.0
@@ -172,20 +171,19 @@ def test_a_known_error_is_what_is_measured(tmp_path, in_process):
 
 
 @pytest.mark.parametrize(("bench", "cause"), [(open_blind, "no-plan"), (open_far, "out-of-reach")])
-def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, in_process, bench, cause):
-    metrics = evaluate(options(tmp_path, episodes=2, retries=0), bench)
+def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, bench, cause):
+    metrics = evaluate_here(options(tmp_path, episodes=2, retries=0), bench)
     assert metrics["success"]["rate"] == 0.0
     assert set(metrics["failures"]) <= {cause, "missed-grasp"}
     assert metrics["failures"][cause] >= 1
 
 
-def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path, monkeypatch):
+def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path):
     program = (
         "import sys; from pathlib import Path; import test_evaluation_closed_loop as t; "
-        "t.module.stream_in_processes = t.stream_here; "
-        "t.evaluate(t.options(Path(sys.argv[1]), episodes=3), t.open_deadly)"
+        "t.evaluate_here(t.options(Path(sys.argv[1]), episodes=3), t.open_deadly)"
     )
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     command = [sys.executable, "-c", program, str(tmp_path / "killed")]
     killed = subprocess.run(command, env=environment, capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL
@@ -194,23 +192,22 @@ def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tm
     with (tmp_path / "killed/episodes.jsonl").open("a") as log:
         log.write('{"episode": 2, "sta')  # it might have died while writing, too
     evaluate(options(tmp_path / "killed", episodes=3, workers=2), open_perfect)
-    monkeypatch.setattr(module, "stream_in_processes", stream_here)
-    evaluate(options(tmp_path / "whole", episodes=3), open_perfect)
+    evaluate_here(options(tmp_path / "whole", episodes=3), open_perfect)
     assert timeless(tmp_path / "killed") == timeless(tmp_path / "whole")
 
 
-def test_more_episodes_add_to_those_there_are(tmp_path, in_process):
-    evaluate(options(tmp_path, episodes=2), open_perfect)
+def test_more_episodes_add_to_those_there_are(tmp_path):
+    evaluate_here(options(tmp_path, episodes=2), open_perfect)
     first = (tmp_path / "episodes.jsonl").read_text()
-    assert evaluate(options(tmp_path, episodes=3), open_perfect)["success"]["n"] == 3
+    assert evaluate_here(options(tmp_path, episodes=3), open_perfect)["success"]["n"] == 3
     assert (tmp_path / "episodes.jsonl").read_text().startswith(first)
-    assert evaluate(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
+    assert evaluate_here(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
 
 
-def test_another_evaluation_in_the_same_folder_is_refused(tmp_path, in_process):
-    evaluate(options(tmp_path, episodes=1), open_perfect)
+def test_another_evaluation_in_the_same_folder_is_refused(tmp_path):
+    evaluate_here(options(tmp_path, episodes=1), open_perfect)
     with pytest.raises(BaggieError, match="holds an evaluation with seed 0, not 1"):
-        evaluate(options(tmp_path, episodes=1, seed=1), open_perfect)
+        evaluate_here(options(tmp_path, episodes=1, seed=1), open_perfect)
 
 
 def a_calibration(folder, off_px=0.0):
@@ -222,7 +219,7 @@ def a_calibration(folder, off_px=0.0):
     return folder
 
 
-def test_another_calibration_is_another_evaluation(tmp_path, in_process):
+def test_another_calibration_is_another_evaluation(tmp_path):
     one, other = a_calibration(tmp_path / "one"), a_calibration(tmp_path / "other", off_px=5.0)
 
     def asked(calibration, **changes):
@@ -230,34 +227,38 @@ def test_another_calibration_is_another_evaluation(tmp_path, in_process):
         return options(tmp_path / "out", **given | changes)
 
     with pytest.raises(DataError, match="color-mask policy"):  # before anything is written
-        evaluate(asked(tmp_path / "nowhere"), open_perfect)
-    evaluate(asked(one), open_perfect)
+        evaluate_here(asked(tmp_path / "nowhere"), open_perfect)
+    evaluate_here(asked(one), open_perfect)
     for given in (other, None):
         with pytest.raises(BaggieError, match="holds an evaluation with calibration"):
-            evaluate(asked(given), open_perfect)
+            evaluate_here(asked(given), open_perfect)
     moved = a_calibration(tmp_path / "moved")
-    assert evaluate(asked(moved, episodes=2), open_perfect)["success"]["n"] == 2  # the same one, elsewhere
+    assert (
+        evaluate_here(asked(moved, episodes=2), open_perfect)["success"]["n"] == 2
+    )  # the same one, elsewhere
 
 
-def test_another_device_is_another_evaluation(tmp_path, in_process, monkeypatch):
+def test_another_device_is_another_evaluation(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "check_device", lambda _device: None)
-    evaluate(options(tmp_path, episodes=1), open_perfect)
+    evaluate_here(options(tmp_path, episodes=1), open_perfect)
     with pytest.raises(BaggieError, match="holds an evaluation with device cpu, not cuda"):
-        evaluate(options(tmp_path, episodes=1, device="cuda"), open_perfect)
+        evaluate_here(options(tmp_path, episodes=1, device="cuda"), open_perfect)
 
 
-def test_a_real_workcell_is_another_evaluation_than_a_simulated_one(tmp_path, in_process):
-    evaluate(options(tmp_path, policy="color-mask", episodes=1), open_perfect)
+def test_a_real_workcell_is_another_evaluation_than_a_simulated_one(tmp_path):
+    evaluate_here(options(tmp_path, policy="color-mask", episodes=1), open_perfect)
     with pytest.raises(BaggieError, match=r"holds an evaluation with workcell None, not cell\.yaml"):
-        evaluate(options(tmp_path, policy="color-mask", episodes=1, workcell=Path("cell.yaml")), open_perfect)
+        evaluate_here(
+            options(tmp_path, policy="color-mask", episodes=1, workcell=Path("cell.yaml")), open_perfect
+        )
 
 
-def test_an_evaluation_of_an_older_version_goes_on_and_is_told_apart_from_then_on(tmp_path, in_process):
-    evaluate(options(tmp_path, episodes=1), open_perfect)
+def test_an_evaluation_of_an_older_version_goes_on_and_is_told_apart_from_then_on(tmp_path):
+    evaluate_here(options(tmp_path, episodes=1), open_perfect)
     path = tmp_path / "evaluation.json"
     written = json.loads(path.read_text())
     path.write_text(json.dumps({key: value for key, value in written.items() if key != "device"}))
-    assert evaluate(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
+    assert evaluate_here(options(tmp_path, episodes=2), open_perfect)["success"]["n"] == 2
     assert json.loads(path.read_text()) == written
 
 

@@ -16,7 +16,6 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.machine import MIN_DISTANCE_M
 from baggie.errors import BaggieError, DataError, UnsureError
-from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_log
@@ -28,7 +27,7 @@ from baggie.policies.oracle import OraclePolicy
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
 from synthetic import WORKSPACE, intrinsics, to_pixels
-from test_evaluation_closed_loop import FakeCell, in_process, open_perfect, options, timeless  # noqa: F401
+from test_evaluation_closed_loop import FakeCell, evaluate_here, open_perfect, options, timeless
 
 CARD = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.065
 KINDS = ("virtual", "turned", "card")
@@ -188,9 +187,8 @@ def opener(to_robot, radii_m=(None, None), **table):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.usefixtures("in_process")
 def test_a_bag_is_brought_to_a_goal_of_any_kind(tmp_path, drawn_map, kind):
-    metrics = evaluate(options(tmp_path, goal=kind, episodes=4), opener(drawn_map))
+    metrics = evaluate_here(options(tmp_path, goal=kind, episodes=4), opener(drawn_map))
     assert (metrics["goal"], metrics["scenery"]) == (kind, "plain")
     assert metrics["success"]["rate"] == 1.0
     assert metrics["place_error_cm"]["max"] == pytest.approx(metrics["distance_cm"]["max"])
@@ -200,9 +198,8 @@ def test_a_bag_is_brought_to_a_goal_of_any_kind(tmp_path, drawn_map, kind):
     assert metrics["asked_for_help"]["rate"] == 0.0
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_card_that_is_not_seen_is_a_failure_of_its_own_never_taken_from_the_truth(tmp_path, drawn_map):
-    metrics = evaluate(options(tmp_path, goal="card", episodes=2), opener(drawn_map, card_shows=False))
+    metrics = evaluate_here(options(tmp_path, goal="card", episodes=2), opener(drawn_map, card_shows=False))
     assert metrics["failures"] == {"no-card": 2}
     assert metrics["success"]["rate"] == 0.0
     assert "pick_error_cm" not in metrics
@@ -210,9 +207,8 @@ def test_a_card_that_is_not_seen_is_a_failure_of_its_own_never_taken_from_the_tr
     assert all("lay it where the camera sees" in line["message"] for line in timeless(tmp_path))
 
 
-@pytest.mark.usefixtures("in_process")
 def test_confidence_is_measured_and_what_is_too_unsure_asks_for_help(tmp_path, drawn_map, monkeypatch):
-    metrics = evaluate(options(tmp_path / "sure"), opener(drawn_map, (0.004, 1e-7)))
+    metrics = evaluate_here(options(tmp_path / "sure"), opener(drawn_map, (0.004, 1e-7)))
     confidence = metrics["confidence"]
     assert confidence["pick_within"]["rate"] == 1.0
     assert confidence["place_within"]["rate"] == 0.0
@@ -223,34 +219,31 @@ def test_confidence_is_measured_and_what_is_too_unsure_asks_for_help(tmp_path, d
         raise UnsureError("less sure than asked for")
 
     monkeypatch.setattr(Table, "carry_out", refuse)
-    asked = evaluate(options(tmp_path / "unsure"), opener(drawn_map, (0.1, 0.1)))
+    asked = evaluate_here(options(tmp_path / "unsure"), opener(drawn_map, (0.1, 0.1)))
     assert asked["failures"] == {"unsure": 5}
     assert asked["asked_for_help"]["rate"] == 1.0
     assert asked["pick_error_cm"]["n"] == 5
     assert {line["looks"] for line in timeless(tmp_path / "unsure")} == {1}
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_round_bag_has_no_wrong_angle(tmp_path, drawn_map):
-    evaluate(options(tmp_path, episodes=2), opener(drawn_map, symmetry=0))
+    evaluate_here(options(tmp_path, episodes=2), opener(drawn_map, symmetry=0))
     assert all(line["yaw_error_deg"] == line["pick_yaw_error_deg"] == 0.0 for line in timeless(tmp_path))
 
 
 @pytest.mark.parametrize("change", [{"goal": "turned"}, {"scenery": "unseen"}])
-@pytest.mark.usefixtures("in_process")
 def test_another_goal_or_scenery_in_the_same_folder_is_refused(tmp_path, change):
-    evaluate(options(tmp_path, episodes=1), open_perfect)
+    evaluate_here(options(tmp_path, episodes=1), open_perfect)
     with pytest.raises(
         BaggieError, match=f"{next(iter(change))} (virtual|plain), not {next(iter(change.values()))}"
     ):
-        evaluate(options(tmp_path, episodes=1, **change), open_perfect)
+        evaluate_here(options(tmp_path, episodes=1, **change), open_perfect)
     with pytest.raises(BaggieError, match="scenery among plain, light"):
-        evaluate(options(tmp_path, scenery="moon"), open_perfect)
+        evaluate_here(options(tmp_path, scenery="moon"), open_perfect)
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_log_of_another_version_is_refused_in_one_line(tmp_path):
-    evaluate(options(tmp_path, episodes=1), open_perfect)
+    evaluate_here(options(tmp_path, episodes=1), open_perfect)
     log = tmp_path / "episodes.jsonl"
     record = json.loads(log.read_text())
     assert Episode.from_json(record).to_json() == {**record} | {

@@ -15,7 +15,7 @@ from baggie.collect.calibrate import calibrate
 from baggie.collect.machine import at_outline, detect
 from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import bag_place as closed_loop_of_bags
-from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
+from baggie.evaluation.closed_loop import EvaluateOptions
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
 from baggie.evaluation.opening import SeenCell, open_real_bench
@@ -29,7 +29,7 @@ from baggie.report.report import report
 from baggie.types import Outcome
 from baggie.workcell.workcell import Calibrations, WorkcellSettings
 from fake_workcell import FakeCell
-from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
+from test_evaluation_closed_loop import evaluate_here
 
 FILE = Path("cell.yaml")
 
@@ -74,11 +74,6 @@ def options(tmp_path, **asked):
     return EvaluateOptions(policy="color-mask", out=tmp_path, workcell=FILE, episodes=4, **asked)
 
 
-@pytest.fixture(autouse=True)
-def here(in_process):  # noqa: F811 -- a fixture
-    """No process of its own: there is one arm."""
-
-
 @pytest.fixture
 def cell():
     return calibrated(RealFake(size=(640, 360)))
@@ -119,7 +114,7 @@ def test_a_high_thing_is_found_where_it_is_once_its_height_is_written_down(cube)
 
 
 def test_a_high_thing_is_judged_where_it_is(cube, tmp_path):
-    metrics = evaluate(options(tmp_path), functools.partial(bench, cube))
+    metrics = evaluate_here(options(tmp_path), functools.partial(bench, cube))
     assert metrics["success"]["rate"] == 1.0
     for episode in read_log(tmp_path / "episodes.jsonl", Episode):
         assert math.dist(episode.goal[:2], episode.final[:2]) < 0.02
@@ -153,27 +148,25 @@ def test_what_was_seen_belongs_to_its_picture_and_asking_for_it_moves_nothing(ce
     assert cell.looks == 1
 
 
-def test_an_episode_takes_three_pictures(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+def test_an_episode_takes_three_pictures(cell, tmp_path):
     in_cell = functools.partial(bench, cell)
-    evaluate(options(tmp_path), in_cell)
+    evaluate_here(options(tmp_path), in_cell)
     assert cell.looks == 3 * 4
     for episode in read_log(tmp_path / "episodes.jsonl", Episode):
         assert episode.pick_error_cm < 1e-9  # the policy plans from the picture, and so is measured
 
 
-def test_a_bag_the_policy_puts_out_of_reach_is_its_own_affair(cell, tmp_path, in_process):  # noqa: F811 -- a fixture
+def test_a_bag_the_policy_puts_out_of_reach_is_its_own_affair(cell, tmp_path):
     far = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.03)
     cell.carry_out = lambda plan: setattr(cell, "bag", far) or Outcome(plan.action)
-    assert (
-        evaluate(replace(options(tmp_path), episodes=1), functools.partial(bench, cell))["success"]["rate"]
-        == 0
-    )
+    in_cell = functools.partial(bench, cell)
+    assert evaluate_here(replace(options(tmp_path), episodes=1), in_cell)["success"]["rate"] == 0
     with pytest.raises(BaggieError, match="put it back"):
-        evaluate(replace(options(tmp_path), episodes=2), functools.partial(bench, cell))
+        evaluate_here(replace(options(tmp_path), episodes=2), in_cell)
 
 
 def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
-    metrics = evaluate(options(tmp_path), functools.partial(bench, cell))
+    metrics = evaluate_here(options(tmp_path), functools.partial(bench, cell))
     assert metrics["success"]["rate"] == 1.0
     assert metrics["workcell"] == str(FILE)
     episodes = list(read_log(tmp_path / "episodes.jsonl", Episode))
@@ -184,7 +177,7 @@ def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
 
 def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
     run = tmp_path / "run"
-    evaluate(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
     text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
     assert "4 of 4 bags to within 2 cm" in text
     assert f"color-mask was tried on a real arm ({FILE})" in text
@@ -194,8 +187,10 @@ def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
 
 def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path):
     run = tmp_path / "run"
-    evaluate(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
-    evaluate(simulated.options(run / "simulated", policy="color-mask", film=0), simulated.open_off_by_25_mm)
+    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    evaluate_here(
+        simulated.options(run / "simulated", policy="color-mask", film=0), simulated.open_off_by_25_mm
+    )
     text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
     assert f"color-mask, {FILE}" in text
     assert "0 of 5 bags to within 2 cm" in text  # the page is about the simulated one
@@ -224,23 +219,23 @@ def test_metrics_say_which_arm_moved(cell, tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: {kind: franka, host: 10.0.0.2, model: panda}\ncamera: 0\n")
     asked = replace(options(tmp_path / "out"), episodes=1, workcell=file)
-    assert evaluate(asked, functools.partial(bench, cell))["robot"] == "Panda"
+    assert evaluate_here(asked, functools.partial(bench, cell))["robot"] == "Panda"
 
 
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
     cell.script = [None, "lost-bag"]
     with pytest.raises(BaggieError, match="bring it back into view") as raised:
-        evaluate(options(tmp_path), functools.partial(bench, cell))
+        evaluate_here(options(tmp_path), functools.partial(bench, cell))
     assert "\n" not in str(raised.value)
     assert len(read_log(tmp_path / "episodes.jsonl", Episode)) == 1
     cell.script, cell.hidden = [], False  # a person has put it back
-    assert evaluate(options(tmp_path), functools.partial(bench, cell))["success"]["n"] == 4
+    assert evaluate_here(options(tmp_path), functools.partial(bench, cell))["success"]["n"] == 4
 
 
 def test_a_bag_out_of_reach_is_not_counted_against_the_policy(cell, tmp_path):
     cell.bag = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.02, y=0.0)
     with pytest.raises(BaggieError, match="put it back"):
-        evaluate(options(tmp_path), functools.partial(bench, cell))
+        evaluate_here(options(tmp_path), functools.partial(bench, cell))
     assert not (tmp_path / "episodes.jsonl").exists()
 
 

@@ -32,6 +32,7 @@ from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import Changes
 from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
 from baggie.metrics import yaw_error_deg
+from baggie.operator import Nobody
 from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
 from baggie.policies.keypoint import heads as planar_map
@@ -275,6 +276,7 @@ def test_ctrl_c_stops_all_processes_after_the_same_step(tmp_path):
         seed=0,
         save_every_s=60.0,
         accelerator=SecondOfTwo(Accelerator(cpu=True)),
+        operator=Nobody(),
     )
     with pytest.raises(KeyboardInterrupt, match="stopped after 3 of 6 steps"):
         training.run(lambda _policy: {})

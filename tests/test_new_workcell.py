@@ -1,7 +1,6 @@
 import re
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -26,26 +25,12 @@ from baggie.workcell.workcell_file import (
     WorkcellFile,
     read_workcell_file,
 )
-
-
-def answering(*answers: str) -> tuple[list[str], Callable[[str], str]]:
-    """Somebody who gives these answers, and what they were asked."""
-    asked: list[str] = []
-    left = iter(answers)
-
-    def ask(prompt: str) -> str:
-        asked.append(prompt)
-        try:
-            return next(left)
-        except StopIteration:
-            raise EOFError from None
-
-    return asked, ask
+from scripted import Scripted
 
 
 def write(path: Path, *answers: str) -> WorkcellFile:
     """What is read of a file that somebody wrote who gave these answers, and then took every default."""
-    new_workcell(NewWorkcellOptions(path), answering(*answers, *[""] * 30)[1])
+    new_workcell(NewWorkcellOptions(path), operator=Scripted(*answers, *[""] * 30))
     return read_workcell_file(path)
 
 
@@ -59,10 +44,10 @@ def test_enter_alone_gives_a_slow_franka(tmp_path: Path) -> None:
 def test_every_kind_of_arm_and_camera_that_a_file_can_name_is_offered() -> None:
     kinds = [get_args(entry.model_fields["kind"].annotation)[0] for entry in get_args(get_args(ArmEntry)[0])]
     assert sorted(ARMS) == sorted(kinds)
-    asked, ask = answering()
+    person = Scripted()
     with pytest.raises(BaggieError, match="nobody answers"):
-        new_workcell(NewWorkcellOptions(Path("nowhere/cell.yaml")), ask)
-    assert all(kind in asked[0] for kind in kinds)
+        new_workcell(NewWorkcellOptions(Path("nowhere/cell.yaml")), operator=person)
+    assert all(kind in person.asked[0] for kind in kinds)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in ARMS if kind != "replay"])
@@ -123,11 +108,11 @@ def test_the_defaults_of_a_small_lerobot_arm_are_those_of_the_guide(tmp_path: Pa
 
 
 def test_another_lerobot_arm_says_what_it_is(tmp_path: Path) -> None:
-    asked, ask = answering(
+    person = Scripted(
         *("lerobot", "koch", "-", "-", "", "koch.xml", "grip", "1 2 3", "0", "a b", "normalized"),
         *("1 2 3", "-5 7", "0.5", "0.05", "0.3", *[""] * 9),
     )
-    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), ask)
+    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=person)
     written = read_workcell_file(tmp_path / "cell.yaml")
     arm = written.arm
     assert isinstance(arm, LeRobotEntry)
@@ -135,7 +120,7 @@ def test_another_lerobot_arm_says_what_it_is(tmp_path: Path) -> None:
     assert ([joint.name for joint in arm.joints], arm.park, arm.units) == (["a", "b"], (-5, 7), "normalized")
     assert (arm.widths[-1][1], arm.speed) == (0.05, 0.3)
     assert not written.handling.written, "it follows from the gripper"
-    hints = [prompt for prompt in asked if "will not do" in prompt]
+    hints = [prompt for prompt in person.asked if "will not do" in prompt]
     assert [hint.partition(";")[0] for hint in hints] == [
         "'' will not do (expected an answer)",
         "'1 2 3' will not do (expected 2 of them, apart by spaces)",
@@ -152,12 +137,12 @@ def test_an_arm_of_one_s_own_gets_its_options_and_opens(
     film = cv2.VideoWriter(str(tmp_path / "table.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
     film.write(np.zeros((48, 64, 3), np.uint8))
     film.release()
-    asked, ask = answering(
+    person = Scripted(
         *("python", "asked_arm", "asked_arm:open_arm", "reach_m", "kind=x", "reach_m=0.7"),
         *("opencv", str(tmp_path / "table.avi"), *[""] * 9),
     )
-    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), ask)
-    assert len([prompt for prompt in asked if "will not do" in prompt]) == 3
+    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=person)
+    assert len([prompt for prompt in person.asked if "will not do" in prompt]) == 3
     cell = baggie.open_workcell(tmp_path / "cell.yaml")
     assert (cell.arm.info.name, cell.settings.handling.open_width_m) == ("imaginary arm", 0.08)
     with pytest.raises(ReachError, match=r"reaches 0\.70 m"):
@@ -167,13 +152,13 @@ def test_an_arm_of_one_s_own_gets_its_options_and_opens(
 
 def test_a_recording_to_replay_has_to_be_there_and_needs_neither_camera_nor_bag(tmp_path: Path) -> None:
     (tmp_path / "bags").mkdir()
-    asked, ask = answering("replay", "nowhere", "bags", "", "")
-    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), ask)
+    person = Scripted("replay", "nowhere", "bags", "", "")
+    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=person)
     arm = read_workcell_file(tmp_path / "cell.yaml").arm
     assert isinstance(arm, ReplayEntry)
     assert arm.recording == Path("bags")
-    assert "'nowhere' will not do (expected a folder that is there)" in asked[2]
-    assert len(asked) == 5
+    assert "'nowhere' will not do (expected a folder that is there)" in person.asked[2]
+    assert len(person.asked) == 5
 
 
 @pytest.mark.parametrize(
@@ -195,35 +180,35 @@ def test_a_recording_to_replay_has_to_be_there_and_needs_neither_camera_nor_bag(
 )
 def test_a_bad_answer_is_asked_again_in_one_line(tmp_path: Path, right: list[str], wrong: str) -> None:
     path = tmp_path / "cell.yaml"
-    asked, ask = answering(*right, wrong, *[""] * 20)
-    new_workcell(NewWorkcellOptions(path), ask)
-    again = asked[len(right) + 1]
+    person = Scripted(*right, wrong, *[""] * 20)
+    new_workcell(NewWorkcellOptions(path), operator=person)
+    again = person.asked[len(right) + 1]
     assert again.startswith(f"{wrong!r} will not do (")
-    assert again.endswith(asked[len(right)])
+    assert again.endswith(person.asked[len(right)])
     assert "\n" not in again
     read_workcell_file(path)
 
 
 def test_a_wrong_answer_is_asked_again_with_what_is_expected(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
-    asked, ask = answering("robot", "sim", "-3", "x", "7", "0.6 0.4", "0.4", *[""] * 9)
-    new_workcell(NewWorkcellOptions(path), ask)
+    person = Scripted("robot", "sim", "-3", "x", "7", "0.6 0.4", "0.4", *[""] * 9)
+    new_workcell(NewWorkcellOptions(path), operator=person)
     written = read_workcell_file(path)
     assert (written.arm, written.cell) == (SimulatedEntry(), 7)
-    assert "'robot' will not do (expected franka, lerobot, python, replay or sim)" in asked[1]
-    assert "'-3' will not do (Input should be greater than or equal to 0)" in asked[3]
-    assert "(expected the lower bound first, got 0.6 and 0.4)" in asked[6]
+    assert "'robot' will not do (expected franka, lerobot, python, replay or sim)" in person.asked[1]
+    assert "'-3' will not do (Input should be greater than or equal to 0)" in person.asked[3]
+    assert "(expected the lower bound first, got 0.6 and 0.4)" in person.asked[6]
 
 
 def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text("mine")
     with pytest.raises(BaggieError, match="is there already"):
-        new_workcell(NewWorkcellOptions(path), answering()[1])
+        new_workcell(NewWorkcellOptions(path), operator=Scripted())
     assert path.read_text() == "mine"
 
 
 def test_nobody_there_is_said_and_nothing_written(tmp_path: Path) -> None:
     with pytest.raises(BaggieError, match="nobody answers"):
-        new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), answering("sim")[1])
+        new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=Scripted("sim"))
     assert not (tmp_path / "cell.yaml").exists()

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from baggie.collect.sitting import PAUSES_S, Patience
 from baggie.errors import ArmError, BaggieError, BumpedError, CameraError, DataError, ReachError, StuckError
+from baggie.operator import Line
+from scripted import Scripted
 
 PAUSES = (1.0, 5.0, 15.0)
 
@@ -20,7 +22,7 @@ class Night:
     def __init__(self, wanted: int, faults: dict[int, list[Exception]]) -> None:
         self.wanted, self.faults = wanted, {k: list(errors) for k, errors in faults.items()}
         self.done: list[int] = []
-        self.said: list[str] = []
+        self.person = Scripted()
         self.slept: list[float] = []
 
     def run(self) -> Iterator[int]:
@@ -30,7 +32,7 @@ class Night:
             yield attempt
 
     def collect(self, pauses_s: Sequence[float] = PAUSES) -> None:
-        for attempt in Patience(self.said.append, pauses_s, self.slept.append).bear(self.run):
+        for attempt in Patience(self.person, pauses_s, self.slept.append).bear(self.run):
             self.done.append(attempt)
 
 
@@ -42,7 +44,7 @@ def test_every_attempt_is_made_once_whatever_faults_come_between_if_not_too_many
     night.collect()
     assert night.done == list(range(len(counts)))
     assert night.slept == [pause for count in counts for pause in PAUSES[:count]], "an attempt is progress"
-    assert len(night.said) == len(night.slept)
+    assert len(night.person.told) == len(night.slept)
 
 
 @given(st.integers(0, 5), st.sampled_from([ArmError, CameraError, ReachError]))
@@ -82,4 +84,4 @@ def test_the_pauses_grow_and_say_how_long_they_are() -> None:
     assert list(PAUSES_S) == sorted(set(PAUSES_S))
     night = Night(1, {0: [CameraError("frozen"), CameraError("frozen")]})
     night.collect()
-    assert night.said == ["frozen. Trying again in 1 s", "frozen. Trying again in 5 s"]
+    assert night.person.told == [Line(f"frozen. Trying again in {seconds} s") for seconds in (1, 5)]

@@ -7,11 +7,18 @@ import functools
 
 import pytest
 
-from baggie.errors import BaggieError
-from baggie.processes import ask_parent, stream_in_processes
+from baggie.errors import BaggieError, NobodyError
+from baggie.operator import Caution, Nobody, Operator, choice, errand
+from baggie.processes import Executor, LocalProcesses
+from scripted import Scripted
+from streaming import Here
+
+executors = pytest.mark.parametrize(
+    "executor", [LocalProcesses(), Here()], ids=lambda each: type(each).__name__
+)
 
 
-def times(factor: int):
+def times(factor: int, _operator: Operator):
     """A worker that refuses 13."""
 
     def run(task: int):
@@ -25,28 +32,48 @@ def times(factor: int):
     return run
 
 
-def test_processes_stream_every_result():
-    results = stream_in_processes(functools.partial(times, 10), range(7), workers=2)
+@executors
+def test_every_result_of_every_task_comes_back(executor: Executor):
+    results = executor.stream(functools.partial(times, 10), range(7), 2, Nobody())
     assert sorted(results) == sorted(10 * task + step for task in range(7) for step in range(3))
 
 
-def asking():
-    """A worker that asks before it answers."""
+def asking(operator: Operator):
+    """A worker that tells, and asks before it answers."""
 
     def run(task: int):
-        yield task, ask_parent(f"may I do {task}?")
+        operator.tell(Caution(f"{task} comes"))
+        try:
+            yield task, operator.attended, operator.ask(choice(f"how is {task}?", "fine", ("fine", "odd")))
+            operator.ask(errand(f"lay {task} aside"))
+        except NobodyError as error:
+            yield task, operator.attended, str(error)
 
     return run
 
 
-def test_a_worker_is_answered_by_the_process_that_started_it():
-    answers = stream_in_processes(asking, range(5), workers=2, answer=lambda question: "3" in question)
-    assert dict(answers) == {task: task == 3 for task in range(5)}
-    assert not ask_parent("and here?")
+@executors
+def test_a_worker_tells_and_asks_whoever_watches_over_the_one_that_started_it(executor: Executor):
+    person = Scripted("odd", "", "neither", "", "")
+    results = executor.stream(asking, [3, 4], 1, person)
+    assert list(results) == [(3, True, "odd"), (4, True, "fine")]
+    assert person.told == [Caution("3 comes"), Caution("4 comes")]
+    again = "'neither' will not do (expected fine or odd); how is 4?"
+    assert person.asked == ["how is 3?", "lay 3 aside", "how is 4?", again, "lay 4 aside"]
+
+
+@executors
+def test_where_nobody_watches_a_worker_hears_that_nobody_answers(executor: Executor):
+    results = {
+        task: (attended, said) for task, attended, said in executor.stream(asking, range(3), 2, Nobody())
+    }
+    assert results == {
+        task: (False, f"nobody answers: how is {task}?; run this in a terminal") for task in range(3)
+    }
 
 
 def test_errors_in_processes_come_back_as_they_are():
     with pytest.raises(BaggieError, match="bad luck"):
-        list(stream_in_processes(functools.partial(times, 1), [1, 13], workers=1))
+        list(LocalProcesses().stream(functools.partial(times, 1), [1, 13], 1, Nobody()))
     with pytest.raises(RuntimeError, match="14 is worse"):
-        list(stream_in_processes(functools.partial(times, 1), [14], workers=1))
+        list(LocalProcesses().stream(functools.partial(times, 1), [14], 1, Nobody()))

@@ -17,14 +17,13 @@ import test_evaluation_validate as held_out
 from baggie.data import DatasetWriter
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation import validate as validation
-from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.validate import validate
 from baggie.geometry import PlanarPose
 from baggie.options.evaluating import ReportOptions, ValidateOptions
 from baggie.report.report import report
 from baggie.results import provenance, write_json, write_results
 from synthetic import TASK, make_attempt
-from test_evaluation_closed_loop import in_process  # noqa: F401 -- a fixture
+from test_evaluation_closed_loop import evaluate_here
 from test_evaluation_validate import recording  # noqa: F401 -- a fixture
 
 SECTIONS = ("video", "numbers", "closed-loop", "validation", "heat", "learning", "labels", "origin")
@@ -66,7 +65,7 @@ def fused(*doubtful):
 
 
 @pytest.fixture
-def runs(tmp_path, recording, monkeypatch, in_process):  # noqa: F811 -- fixtures
+def runs(tmp_path, recording, monkeypatch):  # noqa: F811 -- a fixture
     """A trained policy, validated and evaluated, and a baseline, evaluated."""
     from torch.utils.tensorboard import SummaryWriter
 
@@ -82,9 +81,9 @@ def runs(tmp_path, recording, monkeypatch, in_process):  # noqa: F811 -- fixture
     monkeypatch.setattr(validation, "open_policy", lambda *_: held_out.FakePolicy(recording))
     monkeypatch.setattr(held_out.FakePolicy, "name", "keypoint")
     validate(ValidateOptions(str(run), recording, run / "validation"))
-    evaluate(closed_loop.options(run / "evaluation", policy=str(run)), closed_loop.open_perfect)
+    evaluate_here(closed_loop.options(run / "evaluation", policy=str(run)), closed_loop.open_perfect)
     off = closed_loop.options(tmp_path / "runs/baseline", policy="oracle", film=0)
-    evaluate(off, closed_loop.open_off_by_25_mm)
+    evaluate_here(off, closed_loop.open_off_by_25_mm)
     return tmp_path / "runs"
 
 
@@ -115,7 +114,7 @@ def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
 def test_a_policy_is_shown_under_each_test_it_was_put_to(tmp_path, runs):
     run = runs / "keypoint"
     unseen = closed_loop.options(run / "unseen", policy=str(run), film=0, scenery="unseen", goal="turned")
-    evaluate(unseen, closed_loop.open_off_by_25_mm)
+    evaluate_here(unseen, closed_loop.open_off_by_25_mm)
     words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
     assert "keypoint, unseen, turned goals" in words
     assert "Plans against the truth" in words
@@ -145,7 +144,7 @@ def test_two_runs_of_one_policy_are_told_apart(tmp_path, runs):
     (runs / "keypoint").rename(runs / "first")
     evaluation = runs / "second/evaluation"
     policy = runs / "first"
-    evaluate(closed_loop.options(evaluation, policy=str(policy), film=0), closed_loop.open_perfect)
+    evaluate_here(closed_loop.options(evaluation, policy=str(policy), film=0), closed_loop.open_perfect)
     words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
     assert "keypoint (first)" in words
     assert "keypoint (keypoint)" in words  # evaluated under its name of then

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -19,7 +18,7 @@ from baggie.types import Image
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import LANDINGS, Watch
 from fake_workcell import FakeCamera, FakeCell
-from streaming import stream_here
+from streaming import Here
 
 
 @pytest.fixture(scope="module")
@@ -107,17 +106,14 @@ def open_bumped_cell(number: int, size: tuple[int, int]) -> FakeCell:
     return cell
 
 
-def test_nothing_is_recorded_once_the_camera_was_bumped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(import_module("baggie.collect.collect"), "stream_in_processes", stream_here)
+def test_nothing_is_recorded_once_the_camera_was_bumped(tmp_path: Path) -> None:
     options = CollectOptions(out=tmp_path / "bags", attempts=60, workers=1)
     open_cell = functools.partial(open_bumped_cell, size=(640, 360))
     with pytest.raises(BumpedError, match="calibrate again"):
-        collect(options, open_cell)
+        collect(options, open_cell, executor=Here())
     assert (tmp_path / "bags" / "calibration" / REFERENCE_FILE).exists()
     recorded = len(open_dataset(tmp_path / "bags"))
     # Two pictures an attempt: whatever was begun before the bump and not finished is not there.
     assert 0 < recorded <= BumpedCamera.after // 2
     with pytest.raises(BumpedError):  # the reference is the one from before
-        collect(options, functools.partial(open_bumped_cell, size=(640, 360)))
+        collect(options, functools.partial(open_bumped_cell, size=(640, 360)), executor=Here())

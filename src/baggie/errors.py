@@ -63,6 +63,10 @@ class UnsureError(BaggieError):
     """A plan is less sure than the workcell asks for; nothing has moved."""
 
 
+class NobodyError(BaggieError):
+    """A person has to answer, and nobody is there."""
+
+
 class BaggieWarning(UserWarning):
     """Something a user should know that stops nothing; the message is one line fit for `warning: ...` on a terminal."""
 

@@ -1,4 +1,4 @@
-"""Work spread over processes that stream their results back and never outlive the one that started them."""
+"""Work handed to workers that stream their results back: an `Executor`, such as processes of this machine."""
 
 from __future__ import annotations
 
@@ -10,82 +10,126 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection, wait
-from typing import TypeVar, cast
+from typing import Any, Protocol, TypeVar
 
-from baggie.errors import BaggieError, explained
+from baggie.errors import BaggieError, NobodyError, explained
+from baggie.operator import Answer, Event, Operator, Question
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _PARENT_CHECK_S = 0.5
-_to_parent: Connection | None = None
-"""Of a worker."""
+OpenWorker = Callable[[Operator], Callable[[Task], Iterable[Result]]]
+"""Makes what does one task after another, given whom it can tell and ask; picklable, as are tasks and results."""
 
 
-def nobody(_question: str) -> bool:
-    """No, whatever is asked."""
-    return False
+class Executor(Protocol):
+    """Where work is done that needs not be done here."""
+
+    def stream(
+        self,
+        open_worker: OpenWorker[Task, Result],
+        tasks: Iterable[Task],
+        workers: int,
+        operator: Operator,
+    ) -> Iterator[Result]:
+        """Every result of every task, each as soon as it is there, of at most so many workers at a time.
+
+        Tasks are taken in order, by whichever worker is free; `open_worker` is called once in each. What workers tell
+        and ask goes to `operator`; results wait while one is asked.
+
+        A `BaggieError` in a worker is raised here as it is, after the results that came before it; any other
+        exception, and a worker's death, as a `RuntimeError`, with the worker's traceback.
+        """
+        ...
 
 
-def ask_parent(question: str) -> bool:
-    """Wait for what the process that started this worker answers to a question; no where this is no worker."""
-    if _to_parent is None:
-        return nobody(question)
-    _to_parent.send(("question", question))
-    return bool(_to_parent.recv())
+class LocalProcesses:
+    """Processes of this machine, which never outlive the one that started them.
 
-
-def stream_in_processes(
-    open_worker: Callable[[], Callable[[Task], Iterable[Result]]],
-    tasks: Iterable[Task],
-    workers: int,
-    answer: Callable[[str], bool] = nobody,
-) -> Iterator[Result]:
-    """Every result of `open_worker()(task)` for every task, each as soon as it is there.
-
-    Tasks are taken in order, by whichever process is free. `open_worker` is called once in each process and
-    must be picklable, as must tasks and results. Processes are spawned, not forked: a forked GL context or
-    thread pool does not work. They end with this process, even when it is killed with SIGKILL, and leave
-    Ctrl-C to it. `answer` is called here for what a worker asks (`ask_parent`); results wait meanwhile.
-
-    A `BaggieError` in a worker is raised here as it is, after the results that came before it; any other
-    exception, and a worker's death, as a `RuntimeError`, with the worker's traceback.
+    They are spawned, not forked: a forked GL context or thread pool does not work. They end with this process, even
+    when it is killed with SIGKILL, and leave Ctrl-C to it.
     """
-    queue = iter(tasks)
-    context = multiprocessing.get_context("spawn")
-    processes = []
-    busy: list[Connection] = []
+
+    def stream(
+        self,
+        open_worker: OpenWorker[Task, Result],
+        tasks: Iterable[Task],
+        workers: int,
+        operator: Operator,
+    ) -> Iterator[Result]:
+        """As `Executor.stream`, a process for each worker."""
+        queue = iter(tasks)
+        context = multiprocessing.get_context("spawn")
+        processes = []
+        busy: list[Connection] = []
+        try:
+            for _, task in zip(range(workers), queue, strict=False):
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_work, args=(open_worker, theirs, os.getpid()), daemon=True)
+                process.start()
+                theirs.close()  # so that the end of the worker is the end of its stream
+                ours.send(task)
+                processes.append(process)
+                busy.append(ours)
+            while busy:
+                for connection in wait(busy):
+                    assert isinstance(connection, Connection)
+                    kind, value = _receive(connection)
+                    match kind:
+                        case "result":
+                            yield value
+                        case "told":
+                            operator.tell(value)
+                        case "attended":
+                            connection.send(operator.attended)
+                        case "asked":
+                            connection.send(_answer(operator, value))
+                        case "done":
+                            try:
+                                connection.send(next(queue))
+                            except StopIteration:
+                                busy.remove(connection)
+        finally:
+            for process in processes:
+                process.kill()
+            for process in processes:
+                process.join()
+
+
+def _answer(operator: Operator, question: Question[Answer]) -> Answer | NobodyError:
     try:
-        for _, task in zip(range(workers), queue, strict=False):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(open_worker, theirs, os.getpid()), daemon=True)
-            process.start()
-            theirs.close()  # so that the end of the worker is the end of its stream
-            ours.send(task)
-            processes.append(process)
-            busy.append(ours)
-        while busy:
-            for connection in wait(busy):
-                assert isinstance(connection, Connection)
-                kind, value = _receive(connection)
-                if kind == "result":
-                    yield cast(Result, value)
-                    continue
-                if kind == "question":
-                    connection.send(answer(str(value)))
-                    continue
-                try:
-                    connection.send(next(queue))
-                except StopIteration:
-                    busy.remove(connection)
-    finally:
-        for process in processes:
-            process.kill()
-        for process in processes:
-            process.join()
+        return operator.ask(question)
+    except NobodyError as error:
+        return error
 
 
-def _receive(connection: Connection) -> tuple[str, object]:
+class _Above:
+    """The operator of the process that started this worker."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    @property
+    def attended(self) -> bool:
+        """Whether somebody is there now."""
+        self._connection.send(("attended", None))
+        return bool(self._connection.recv())
+
+    def tell(self, event: Event) -> None:
+        """Pass it on."""
+        self._connection.send(("told", event))
+
+    def ask(self, question: Question[Answer]) -> Answer:
+        """Pass it on, and wait. Raises `NobodyError`."""
+        self._connection.send(("asked", question))
+        answer: Answer | NobodyError = self._connection.recv()
+        if isinstance(answer, NobodyError):
+            raise answer
+        return answer
+
+
+def _receive(connection: Connection) -> tuple[str, Any]:
     try:
         kind, value = connection.recv()
     except (EOFError, OSError):
@@ -97,15 +141,11 @@ def _receive(connection: Connection) -> tuple[str, object]:
     return kind, value
 
 
-def _work(
-    open_worker: Callable[[], Callable[[Task], Iterable[Result]]], connection: Connection, parent: int
-) -> None:
-    global _to_parent  # noqa: PLW0603 -- what a worker does need not hand it down to where somebody asks
-    _to_parent = connection
+def _work(open_worker: OpenWorker[Task, Result], connection: Connection, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
     try:
-        run = open_worker()
+        run = open_worker(_Above(connection))
         while True:
             for result in run(connection.recv()):
                 connection.send(("result", result))

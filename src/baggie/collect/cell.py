@@ -23,9 +23,6 @@ from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
 if TYPE_CHECKING:
     from baggie.workcell.workcell_file import WorkcellFile
 
-Ask = Callable[[str], bool]
-"""Asks a person for help, in one line; True when it is worth another look."""
-
 
 class CollectorCell(Protocol):
     """A workcell that can start a sitting afresh and be put right when the object is lost."""

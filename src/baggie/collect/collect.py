@@ -11,53 +11,61 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from rich.console import Console
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
 from baggie.collect.cell import SIMULATED, CollectorCell, OpenCell, what_opens
 from baggie.collect.demonstrations import record_demonstrations
-from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Help, Patience, Recording, run_sitting
+from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Awaited, Patience, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
 from baggie.data import DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
+from baggie.operator import Line, Operator, TerminalOperator, progress
 from baggie.options.collecting import CollectOptions
 from baggie.pictures import read_picture, recorded_size, same_shape
-from baggie.processes import ask_parent, stream_in_processes
-from baggie.progress import ProgressBar, ask, is_attended, progress_bar
+from baggie.processes import Executor, LocalProcesses, OpenWorker
 from baggie.registry import TASKS
 from baggie.types import Attempt
 from baggie.workcell.workcell import Watch
 
 COVERAGE_FILE = "coverage.png"
 
-Sit = Callable[[tuple[int, ...]], Iterable[Attempt]]
-"""Makes the attempts with these ids, of one sitting."""
+Ids = tuple[int, ...]
+"""Of attempts of one sitting."""
+Sit = Callable[[Ids], Iterable[Attempt]]
+"""Makes the attempts with these ids."""
 
 
-def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[str, Any]:
+def collect(
+    options: CollectOptions,
+    open_cell: OpenCell | None = None,
+    *,
+    operator: Operator | None = None,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
     """Collect until `options.attempts` attempts are in `options.out`; the summary, ready for JSON.
 
     In the cell that the options say, unless `open_cell` opens another. Faults of an arm or a camera that are not
-    simulated are borne with patience (`sitting.py`), and a person is asked for what only one can do.
+    simulated are borne with patience (`sitting.py`), and a person is asked for what only one can do: the one at the
+    terminal unless `operator` is given. Attempts are made in processes of this machine unless `executor` is given.
     Raises `BaggieError` when faults do not end, nobody helps, the cell cannot be calibrated, the disk is full, or the
     folder holds another recording: what was recorded before stays, and the same command goes on from there. Raises
     `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     if options.demonstrated:
-        return record_demonstrations(options)
-    console = Console(stderr=True)
+        return record_demonstrations(options, operator=operator, executor=executor)
+    operator = operator or TerminalOperator()
     open_cell, robot, table = what_opens(options, open_cell)
     simulated = robot == SIMULATED
-    patience = Patience(functools.partial(_say, console), () if simulated else PAUSES_S)
+    patience = Patience(operator, () if simulated else PAUSES_S)
     collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery, **table}
 
     def calibrated() -> ImageToRobot:
-        (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, console)])
+        (image_to_robot,) = patience.bear(lambda: [_calibrated(options, open_cell, operator)])
         return image_to_robot
 
     writer: DatasetWriter | None = None
@@ -70,13 +78,14 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
             collection=collection,
         ) as writer:
             image_to_robot, size = calibrated(), writer.settings.picture_size
-            _describe(image_to_robot, size, console)
+            _describe(image_to_robot, size, operator)
             worker = _worker(options, open_cell, image_to_robot, size)
-            attended = not simulated and is_attended()
-            workers = options.workers or ((os.cpu_count() or 1) if robot == SIMULATED else 1)
-            rate = _record(
-                options, worker, writer, console, workers=workers, patience=patience, attended=attended
+            awaited = Awaited(operator, 60 * options.wait, can_help=not simulated)
+            workers = options.workers or ((os.cpu_count() or 1) if simulated else 1)
+            run = functools.partial(
+                (executor or LocalProcesses()).stream, worker, workers=workers, operator=awaited
             )
+            rate = _record(options, writer, run, patience, awaited)
     except KeyboardInterrupt:
         recorded = f"{len(writer.attempt_ids) if writer else 0} of {options.attempts} attempts recorded"
         raise KeyboardInterrupt(f"interrupted with {recorded}; go on with: {options.command()}") from None
@@ -88,85 +97,66 @@ def collect(options: CollectOptions, open_cell: OpenCell | None = None) -> dict[
     return summary
 
 
-def _say(console: Console, line: str) -> None:
-    """One line of the terminal or of a log file, as it is, above a progress bar."""
-    console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _ask(console: Console, bar: ProgressBar, trouble: str) -> bool:
-    """Have a person at the terminal help; whether that was done."""
-    try:
-        with bar.aside():
-            ask(console, f"{trouble}, then press Enter")
-    except EOFError:
-        return False
-    return True
-
-
-def _calibrated(options: CollectOptions, open_cell: OpenCell, console: Console) -> ImageToRobot:
+def _calibrated(options: CollectOptions, open_cell: OpenCell, operator: Operator) -> ImageToRobot:
     """The collector's map from the picture to the robot: as saved, or fitted now."""
     from baggie.policies.color_mask import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- as in workers
 
     folder = options.out / CALIBRATION_FOLDER
     if not (folder / CONFIG_FILE).exists():
         with (
-            console.status("getting the map from the picture to the robot"),
+            progress(operator, "getting the map from the picture to the robot"),
             closing(open_cell(options.cell)) as cell,
         ):
             calibrate_into(folder, cell, options.seed, options.watched)
     return ColorMaskPolicy.load(folder).image_to_robot
 
 
-def _describe(image_to_robot: ImageToRobot, size: tuple[int, int], console: Console) -> None:
+def _describe(image_to_robot: ImageToRobot, size: tuple[int, int], operator: Operator) -> None:
     """Say how good the map is, and where pictures are recorded in another shape than the camera's."""
     residuals, (width, height) = image_to_robot.residuals, image_to_robot.camera.size
-    console.print(
+    fitted = (
         f"picture to robot: {residuals.kept.sum()} points, residual {residuals.rms_mm:.1f} mm, "
         f"{residuals.leave_one_out_mm:.1f} mm leave-one-out"
     )
+    operator.tell(Line(fitted))
     if not same_shape(size, (width, height)):
-        console.print(
+        squeezed = (
             f"pictures of {width} x {height} pixels are squeezed to {size[0]} x {size[1]}, as they were when this "
             "recording was begun; another folder records them in their own shape"
         )
+        operator.tell(Line(squeezed))
 
 
 def _record(
     options: CollectOptions,
-    worker: Callable[[], Sit],
     writer: DatasetWriter,
-    console: Console,
-    *,
-    workers: int,
+    run: Callable[[Iterable[Ids]], Iterator[Attempt]],
     patience: Patience,
-    attended: bool,
+    operator: Awaited,
 ) -> float | None:
-    """Run what is missing; attempts per minute, or None when nothing was."""
+    """Have what is missing `run`; attempts per minute, or None when nothing was."""
     if not missing_sittings(options.attempts, writer.attempt_ids):
-        console.print(f"all {options.attempts} attempts are recorded already")
+        operator.tell(Line(f"all {options.attempts} attempts are recorded already"))
         return None
     done, good, start = 0, 0, time.monotonic()
     recorded = sum(attempt_id < options.attempts for attempt_id in writer.attempt_ids)
 
-    with progress_bar("collecting", options.attempts, recorded, console) as advance:
-        person = functools.partial(_ask, console, advance) if attended else None
-        help_ = Help(person, 60 * options.wait, functools.partial(_say, console))
+    with progress(operator, "collecting", options.attempts, recorded) as advance:
 
         def missing() -> Iterator[Attempt]:
-            sittings = missing_sittings(options.attempts, writer.attempt_ids)
-            return stream_in_processes(worker, sittings, workers, help_.helped)
+            return run(missing_sittings(options.attempts, writer.attempt_ids))
 
         for attempt in patience.bear(missing):
             writer.append(attempt)
             if attempt.outcome.success:
-                help_.worked()
+                operator.worked()
             done, good = done + 1, good + attempt.outcome.success
             rate = 60 * done / (time.monotonic() - start)
             advance(f"{good}/{done} succeeded, {rate:.0f} a minute")
     return 60 * done / (time.monotonic() - start)
 
 
-def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, ...]]:
+def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[Ids]:
     """The ids that are still to be recorded, `0 .. attempts - 1`, by sitting, early ones first."""
     missing = sorted(set(range(attempts)) - set(recorded))
     sittings: dict[int, list[int]] = {}
@@ -177,7 +167,7 @@ def missing_sittings(attempts: int, recorded: Iterable[int]) -> list[tuple[int, 
 
 def _worker(
     options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot, size: tuple[int, int]
-) -> Callable[[], Sit]:
+) -> OpenWorker[Ids, Attempt]:
     """What a worker process begins with, to record pictures of `size`, pixels."""
     recording = Recording(TASKS[options.task].instruction, options.seed, options.cell, size)
     reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
@@ -195,7 +185,11 @@ def _check_camera(cell: CollectorCell, image_to_robot: ImageToRobot) -> None:
 
 
 def _open_worker(
-    open_cell: OpenCell, image_to_robot: ImageToRobot, recording: Recording, reference: Path | None
+    open_cell: OpenCell,
+    image_to_robot: ImageToRobot,
+    recording: Recording,
+    reference: Path | None,
+    operator: Operator,
 ) -> Sit:
     """What a worker process does: run a sitting from its start and hand over the attempts asked for."""
     cv2.setNumThreads(1)
@@ -203,10 +197,10 @@ def _open_worker(
     _check_camera(cell, image_to_robot)
     cell.watch = Watch(read_picture(reference)) if reference else None
 
-    def sit(wanted: tuple[int, ...]) -> Iterable[Attempt]:
+    def sit(wanted: Ids) -> Iterable[Attempt]:
         number = wanted[0] // ATTEMPTS_PER_SITTING
         first = 0 if cell.repeatable else wanted[0] % ATTEMPTS_PER_SITTING
-        for attempt in run_sitting(cell, image_to_robot, recording, number, ask=ask_parent, first=first):
+        for attempt in run_sitting(cell, image_to_robot, recording, number, operator=operator, first=first):
             if attempt.attempt_id in wanted:
                 yield attempt
             if attempt.attempt_id == wanted[-1]:

@@ -16,9 +16,9 @@ from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid
+from baggie.operator import Operator, TerminalOperator, progress
 from baggie.options.collecting import CollectOptions
-from baggie.processes import stream_in_processes
-from baggie.progress import progress_bar
+from baggie.processes import Executor, LocalProcesses
 from baggie.registry import TASKS
 from baggie.seeds import generator
 from baggie.tasks.task import Task
@@ -117,7 +117,7 @@ def _steps(cell: DemonstratorCell, recording: Recording, number: int) -> Iterato
 
 
 def open_demonstrator(
-    open_cell: OpenDemonstratorCell, task: str, recording: Recording
+    open_cell: OpenDemonstratorCell, task: str, recording: Recording, _operator: Operator
 ) -> Callable[[int], Iterable[list[Attempt]]]:
     """What a worker process does: show whole demonstrations, each by its number."""
     cv2.setNumThreads(1)
@@ -130,10 +130,16 @@ def open_demonstrator(
 
 
 def record_demonstrations(
-    options: CollectOptions, open_cell: OpenDemonstratorCell = open_simulated_demonstrator
+    options: CollectOptions,
+    open_cell: OpenDemonstratorCell = open_simulated_demonstrator,
+    *,
+    operator: Operator | None = None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Record until `options.attempts` demonstrations are in `options.out`; the summary, ready for JSON.
 
+    The person at the terminal is told, and processes of this machine show them, unless `operator` or `executor` is
+    given.
     Raises `BaggieError` when the disk is full or the folder holds another recording, and `KeyboardInterrupt`, with how
     to go on as its message, when stopped; what was recorded before stays, and the same command goes on from there.
     """
@@ -154,7 +160,12 @@ def record_demonstrations(
         },
     ) as writer:
         try:
-            rate = _record(options, open_cell, recording, writer)
+            worker = functools.partial(open_demonstrator, open_cell, options.task, recording)
+            workers, operator = options.workers or os.cpu_count() or 1, operator or TerminalOperator()
+            run = functools.partial(
+                (executor or LocalProcesses()).stream, worker, workers=workers, operator=operator
+            )
+            rate = _record(options, writer, run, operator)
         except KeyboardInterrupt:
             begun = f"{len(writer.episodes)} of {options.attempts} demonstrations begun"
             raise KeyboardInterrupt(f"interrupted with {begun}; go on with: {options.command()}") from None
@@ -185,17 +196,18 @@ def first_of_all(first: int | None, shown: Iterable[list[Attempt]]) -> Iterator[
 
 
 def _record(
-    options: CollectOptions, open_cell: OpenDemonstratorCell, recording: Recording, writer: DatasetWriter
+    options: CollectOptions,
+    writer: DatasetWriter,
+    run: Callable[[Iterable[int]], Iterator[list[Attempt]]],
+    operator: Operator,
 ) -> float | None:
-    """Record what is missing; demonstrations a minute, or None when nothing was."""
+    """Have what is missing `run`; demonstrations a minute, or None when nothing was."""
     recorded = dict(writer.episodes)
     missing = missing_demonstrations(options.attempts, recorded)
     cut_short = missing[0] if missing and missing[0] in recorded else None
-    worker = functools.partial(open_demonstrator, open_cell, options.task, recording)
     done, start = 0, time.monotonic()
-    with progress_bar("demonstrating", options.attempts, options.attempts - len(missing)) as advance:
-        shown = stream_in_processes(worker, missing, options.workers or os.cpu_count() or 1)
-        for attempts in first_of_all(cut_short, shown):
+    with progress(operator, "demonstrating", options.attempts, options.attempts - len(missing)) as advance:
+        for attempts in first_of_all(cut_short, run(missing)):
             for attempt in attempts:
                 if attempt.attempt_id not in writer.attempt_ids:
                     writer.append(attempt)

@@ -27,9 +27,10 @@ from enum import Enum
 import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.cell import Ask, CollectorCell
-from baggie.errors import BaggieError, BaggieWarning, LimitError, ReachError
+from baggie.collect.cell import CollectorCell
+from baggie.errors import BaggieError, BaggieWarning, LimitError, NobodyError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
+from baggie.operator import Operator, errand
 from baggie.robot.handling_rules import ROOM_M
 from baggie.seeds import first_fit
 from baggie.types import Failure, Observation, Outcome, PickPlace
@@ -184,7 +185,7 @@ class Turn:
     cell: CollectorCell
     image_to_robot: ImageToRobot
     rng: np.random.Generator
-    ask: Ask
+    operator: Operator
     doubted_before: bool = False
     """Whether the turn before read 45 degrees and did not believe it."""
     before: Observation | None = None
@@ -278,7 +279,7 @@ def ask(turn: Turn) -> State:
     turn.looks = 0
     turn.rescues += 1
     rescued = turn.rescues <= MAX_RESCUES and turn.cell.rescue()
-    return State.LOOK if rescued or turn.ask(turn.trouble) else State.STOPPED
+    return State.LOOK if rescued or helped(turn.operator, turn.trouble) else State.STOPPED
 
 
 def check(turn: Turn) -> State:
@@ -314,6 +315,15 @@ STATES: dict[State, Callable[[Turn], State]] = {
     State.ASK: ask,
     State.CHECK: check,
 }
+
+
+def helped(operator: Operator, trouble: str) -> bool:
+    """Ask for help with some trouble, said in one line; whether another look is worth it."""
+    try:
+        operator.ask(errand(trouble))
+    except NobodyError:
+        return False
+    return True
 
 
 class Stopped(BaggieError):

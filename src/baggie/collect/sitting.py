@@ -19,11 +19,12 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.cell import Ask, CollectorCell
-from baggie.collect.machine import Turn, run_turn, stopped
+from baggie.collect.cell import CollectorCell
+from baggie.collect.machine import Turn, helped, run_turn, stopped
 from baggie.data.record import fit
-from baggie.errors import ArmError, CameraError, ReachError, StuckError
+from baggie.errors import ArmError, CameraError, NobodyError, ReachError, StuckError
 from baggie.geometry import FloatArray
+from baggie.operator import Answer, Event, Line, Operator, Question
 from baggie.options.choices import CollectedStyle
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
@@ -32,33 +33,45 @@ LOOK_AGAIN_S = 30.0
 
 
 @dataclass
-class Help:
-    """Waits for a person."""
+class Awaited:
+    """An operator for whom is waited where nobody is there to be asked."""
 
-    ask: Ask | None
-    """Asks somebody at the terminal; None where nobody is there."""
+    operator: Operator
     wait_s: float
     """How long to wait for somebody to come where nobody is there."""
-    say: Callable[[str], None]
-    """Gets one line when such a wait begins."""
+    can_help: bool = True
+    """Whether a person can; in a simulated workcell nobody can."""
     sleep: Callable[[float], None] = time.sleep
     clock: Callable[[], float] = time.monotonic
     _until: float = field(default=math.inf, init=False)
     """When the wait that has begun is over."""
 
-    def helped(self, trouble: str) -> bool:
-        """Whether it is worth another look: a person has helped; or some time of the wait has passed."""
-        if self.ask is not None:
-            return self.ask(trouble)
+    @property
+    def attended(self) -> bool:
+        """Whether somebody is there who can help."""
+        return self.can_help and self.operator.attended
+
+    def tell(self, event: Event) -> None:
+        """Pass it on."""
+        self.operator.tell(event)
+
+    def ask(self, question: Question[Answer]) -> Answer:
+        """What somebody answers; where nobody is there, what nothing stands for, after some of the wait.
+
+        For another look tells whether somebody came. Raises `NobodyError` when the wait is over.
+        """
+        if self.attended:
+            return self.operator.ask(question)
         if self._until == math.inf:
             self._until = self.clock() + self.wait_s
             if self.wait_s > 0:
-                self.say(f"{trouble}. Waiting {self.wait_s / 60:g} minutes for somebody to help")
+                waiting = f"Waiting {self.wait_s / 60:g} minutes for somebody to help"
+                self.tell(Line(f"{question.text}. {waiting}"))
         left = self._until - self.clock()
         if left <= 0:
-            return False
+            raise NobodyError(f"nobody came: {question.text}")
         self.sleep(min(left, LOOK_AGAIN_S))
-        return True
+        return question.meaning("")
 
     def worked(self) -> None:
         """Take note that all is well again: the next trouble has a wait of its own."""
@@ -74,8 +87,8 @@ T = TypeVar("T")
 class Patience:
     """Begins again, later each time, whatever arm or camera interrupted."""
 
-    say: Callable[[str], None]
-    """Gets one line before every pause."""
+    operator: Operator
+    """Is told before every pause."""
     pauses_s: Sequence[float] = PAUSES_S
     sleep: Callable[[float], None] = time.sleep
 
@@ -97,7 +110,7 @@ class Patience:
             except (ArmError, CameraError, ReachError) as error:
                 if tries == len(self.pauses_s):
                     raise type(error)(_given_up(error, tries)) from None
-                self.say(f"{error}. Trying again in {self.pauses_s[tries]:.0f} s")
+                self.operator.tell(Line(f"{error}. Trying again in {self.pauses_s[tries]:.0f} s"))
                 self.sleep(self.pauses_s[tries])
                 tries += 1
 
@@ -136,12 +149,12 @@ def run_sitting(
     recording: Recording,
     number: int,
     *,
-    ask: Ask,
+    operator: Operator,
     first: int = 0,
 ) -> Iterator[Attempt]:
     """The ten attempts of one sitting, or those from `first` on, one by one as they are finished, failed ones too.
 
-    `ask` is called with one line when the cell cannot help itself. Raises `Stopped` when nobody helps.
+    `operator` is asked for help when the cell cannot help itself. Raises `Stopped` when nobody helps.
     """
     cell.reset((seeds.COLLECTION, recording.seed, number))
     begun_at = (first,) if first else ()  # or places would be the first ones over again
@@ -150,17 +163,17 @@ def run_sitting(
     failures = 0
     for index in range(first, ATTEMPTS_PER_SITTING):
         time = cell.clock()
-        turn = run_turn(Turn(cell, image_to_robot, rng, ask, doubted_before=doubted))
+        turn = run_turn(Turn(cell, image_to_robot, rng, operator, doubted_before=doubted))
         doubted = turn.doubted
         attempt = as_attempt(turn, recording, number * ATTEMPTS_PER_SITTING + index, time)
         yield attempt
         failures = 0 if attempt.outcome.success else failures + 1
         if attempt.outcome.failure == "stalled" or failures >= STALL_AFTER:
             trouble = _stall(attempt, failures, turn.trouble)
-            helped = not rescued and cell.rescue()
-            if not (helped or ask(trouble)):
+            helps_itself = not rescued and cell.rescue()
+            if not (helps_itself or helped(operator, trouble)):
                 raise stopped(trouble)
-            rescued, failures = rescued or helped, 0
+            rescued, failures = rescued or helps_itself, 0
 
 
 def _stall(attempt: Attempt, failures: int, trouble: str) -> str:

@@ -1,4 +1,4 @@
-"""Who does by hand what the robot cannot do by itself: a person at the terminal.
+"""Who does by hand what the robot cannot do by itself: a person.
 
 In the simulator, `simulated_assistant.py` does the same things in the world.
 """
@@ -6,14 +6,13 @@ In the simulator, `simulated_assistant.py` does the same things in the world.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from rich.console import Console
 
+from baggie.errors import NobodyError
 from baggie.geometry import FloatArray
-from baggie.progress import ask
+from baggie.operator import ENTER, Answer, Hint, Operator, Question, errand
 from baggie.vision.targets import Target
 
 
@@ -75,59 +74,65 @@ class Assistant(Helper, Protocol):
         ...
 
 
-class PersonAtTerminal:
-    """Prints what to do and waits for Enter. Ctrl-C stops; what was recorded by then stays."""
+class Person:
+    """Asks a person, and waits. Ctrl-C stops; what was recorded by then stays."""
 
-    def __init__(self, ask: Callable[[str], str] | None = None, *, prepared: bool = False) -> None:
-        """`ask` prints a prompt and returns the answer; the terminal unless given.
+    def __init__(self, operator: Operator, *, prepared: bool = False) -> None:
+        """`operator` is asked.
 
         `prepared`: the table is clear already, and what the hand is to hold is in it, so nobody is asked for either.
         """
-        self._console = Console(stderr=True)
-        self._ask = ask or self._ask_terminal
+        self._operator = operator
         self._prepared = prepared
         self._last = ""
 
     def show(self, target: Target, words: str) -> None:
         """Say what to show next; pictures are taken by themselves, so nobody has to press a key with full hands."""
         if words != self._last:
-            self._console.print(f"[bold]→[/] {words}")
+            self._operator.tell(Hint(words))
             self._last = words
 
     def clear_table(self) -> None:
         """Ask, and wait, unless all is prepared."""
         if not self._prepared:
-            self._ask("take everything off the table")
+            self._ask(errand("take everything off the table"))
 
     def lay(self, target: Target, words: str) -> None:
         """Ask, and wait."""
-        self._ask(words)
+        self._ask(errand(words))
 
     def hold(self, target: Target | None, words: str) -> None:
         """Ask, and wait, unless all is prepared."""
         if not self._prepared:
-            self._ask(words)
+            self._ask(errand(words))
 
     def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
         """Ask for its height in millimetres, until there is one that will do, or nothing."""
         lowest, highest = (1000 * height for height in heights_m)
-        wanted, hint = f"{lowest:.0f} to {highest:.0f}", ""
-        while answer := self._ask(
-            f"{hint}{words}; type its height in mm ({wanted}), or nothing to leave this out"
-        ):
+        wanted = f"{lowest:.0f} to {highest:.0f}"
+
+        def height_m(typed: str) -> float | None:
+            if not typed:
+                return None
             try:
-                height = float(answer)
+                height = float(typed)
             except ValueError:
                 height = np.nan
-            if lowest <= height <= highest:
-                return height / 1000
-            hint = f"{answer!r} will not do (expected {wanted}); "
-        return None
+            if not lowest <= height <= highest:
+                raise ValueError(f"expected {wanted}")
+            return height / 1000
+
+        words = f"{words}; type its height in mm ({wanted}), or nothing to leave this out"
+        return self._ask(Question(words, "", height_m, keys=ENTER))
 
     def confirm(self, question: str) -> bool | None:
         """Ask for yes or no; anything else is neither."""
-        answer = self._ask(f"{question} [y/n, nothing where you cannot tell]").lower()
-        return {"y": True, "yes": True, "n": False, "no": False}.get(answer)
+
+        def meant(typed: str) -> bool | None:
+            return {"y": True, "yes": True, "n": False, "no": False}.get(typed.lower())
+
+        keys = f" [y/n, nothing where you cannot tell]{ENTER}"
+        return self._ask(Question(question, "", meant, ("y", "n"), keys))
 
     def clock(self) -> float:
         """A real arm's: the wall clock's."""
@@ -135,29 +140,31 @@ class PersonAtTerminal:
 
     def lead_to(self, T_base_hand: FloatArray | None, words: str) -> None:
         """Ask, and wait."""
-        self._ask(words)
+        self._ask(errand(words))
 
     def touch(self, target: Target, point: FloatArray, words: str) -> None:
         """Ask, and wait."""
-        self._ask(words)
+        self._ask(errand(words))
 
     def measure_touch(self, words: str) -> FloatArray | None:
         """Ask for two numbers in millimetres."""
-        answer = self._ask(
-            f"{words}: type how far the tip is off, forward and left, in mm (such as 1 -0.5), or nothing"
-        )
-        try:
-            forward, left = (float(word) / 1000 for word in answer.split())
-        except ValueError:
-            return None
-        return np.array([forward, left])
+
+        def metres(typed: str) -> FloatArray | None:
+            try:
+                forward, left = (float(word) / 1000 for word in typed.split())
+            except ValueError:
+                return None
+            return np.array([forward, left])
+
+        words = f"{words}: type how far the tip is off, forward and left, in mm (such as 1 -0.5), or nothing"
+        return self._ask(Question(words, "", metres, keys=ENTER))
 
     def put_away(self) -> None:
         """Say so; whatever comes next waits."""
-        self._console.print("[bold]→[/] what was laid or held can be taken away")
+        self._operator.tell(Hint("what was laid or held can be taken away"))
 
-    def _ask_terminal(self, words: str) -> str:
+    def _ask(self, question: Question[Answer]) -> Answer:
         try:
-            return ask(self._console, f"{words}, then press Enter")
-        except EOFError:
+            return self._operator.ask(question)
+        except NobodyError:
             raise KeyboardInterrupt("nobody is at the terminal; the same command again goes on") from None

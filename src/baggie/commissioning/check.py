@@ -13,12 +13,12 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare
 from baggie.calibration.image_to_robot.residuals import draw_comparison
-from baggie.commissioning.assistant import PersonAtTerminal
 from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
 from baggie.commissioning.session import Bench, open_bench
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
+from baggie.operator import Operator
 from baggie.options.calibrating import CheckOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import Marker, parse_target
@@ -30,12 +30,15 @@ _SPEED_M_S = 0.3
 _HOVER_M = 0.15
 
 
-def check_calibration(options: CheckOptions) -> dict[str, Any]:
-    """Measure and report, ready for JSON. Raises `CalibrationError` when the error is above the limit."""
+def check_calibration(options: CheckOptions, *, operator: Operator | None = None) -> dict[str, Any]:
+    """Measure and report, ready for JSON. Raises `CalibrationError` when the error is above the limit.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     image_to_robot = ImageToRobot.load(options.map)
     if options.against is not None:
         return _compare(image_to_robot, options)
-    with open_bench(options, PersonAtTerminal(prepared=options.prepared)) as bench:
+    with open_bench(options, operator, prepared=options.prepared) as bench:
         image_to_robot.camera.check(bench.identity, str(options.map))
         result = check_live(bench, image_to_robot, options)
     worst = max(result[name]["mean"] for name in ("held_out_mm", "touch_mm") if name in result)

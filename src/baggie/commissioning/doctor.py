@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from baggie.commissioning.assistant import Helper, PersonAtTerminal
+from baggie.commissioning.assistant import Helper, Person
 from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, NobodyError
+from baggie.operator import Operator, Question, TerminalOperator
 from baggie.options.workcells import DoctorOptions
-from baggie.progress import ask, is_attended
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
@@ -31,12 +30,12 @@ class Finding:
 
 
 def examine(
-    options: DoctorOptions, leave: Callable[[str], bool] | None = None, helper: Helper | None = None
+    options: DoctorOptions, *, operator: Operator | None = None, helper: Helper | None = None
 ) -> list[Finding]:
     """What came of all checks, failed ones too.
 
-    `leave` is asked whether the arm may move, and `helper` to lay and hold what a check needs; the terminal unless
-    given. Simulated workcells and labs help themselves.
+    A person is asked whether the arm may move, and to lay and hold what a check needs: the one at the terminal unless
+    `operator` is given. A `helper` lays and holds things instead, as simulated workcells and labs do by themselves.
     """
     from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
 
@@ -46,7 +45,9 @@ def examine(
         return [Finding("workcell", "failed", str(error))]
     try:
         opened = Finding("workcell", "ok", f"{options.workcell}: {cell.settings.name}")
-        return [opened, *_all_checks(cell, options, leave or _ask, helper or _helper(cell, options))]
+        operator = operator or TerminalOperator()
+        helper = helper or _helper(cell, options, operator)
+        return [opened, *_all_checks(cell, options, operator, helper)]
     finally:
         cell.close()
 
@@ -69,7 +70,7 @@ def require_healthy(findings: Sequence[Finding]) -> None:
         )
 
 
-def _helper(cell: Workcell, options: DoctorOptions) -> Helper | None:
+def _helper(cell: Workcell, options: DoctorOptions, operator: Operator) -> Helper | None:
     """Who lays and holds things; None where nobody does."""
     from baggie.commissioning.simulated_assistant import LabAssistant, SimulatedAssistant  # noqa: PLC0415 -- all of these import the simulator
     from baggie.lab.web import LabControl  # noqa: PLC0415
@@ -79,17 +80,16 @@ def _helper(cell: Workcell, options: DoctorOptions) -> Helper | None:
         return LabAssistant(LabControl(options.lab))
     if isinstance(cell, SimulatedWorkcell):
         return SimulatedAssistant(cell, 0)
-    return PersonAtTerminal() if options.move == "ask" and is_attended() else None
+    return Person(operator) if options.move == "ask" and operator.attended else None
 
 
 def _all_checks(
-    cell: Workcell, options: DoctorOptions, leave: Callable[[str], bool], helper: Helper | None
+    cell: Workcell, options: DoctorOptions, operator: Operator, helper: Helper | None
 ) -> Iterable[Finding]:
     still = list(_checked(cell, STILL))
     yield from still
     healthy = all(finding.verdict != "failed" for finding in still)
-    question = f"may {cell.arm.info.name} move now, slowly, all over its workspace? Clear the table first"
-    if healthy and (options.move == "yes" or (options.move == "ask" and leave(question))):
+    if healthy and (options.move == "yes" or (options.move == "ask" and _may_move(cell, operator))):
         yield from _checked(cell, {**MOVING, **_with_help(helper)}, stop_at_failure=True)
         return
     why = "no leave to move" if healthy else "nothing moves before the rest is mended"
@@ -125,9 +125,13 @@ def _checked(cell: Workcell, checks: Mapping[str, Check], stop_at_failure: bool 
             yield Finding(name, "failed", str(error))
 
 
-def _ask(question: str) -> bool:
-    """At the terminal; where nobody is, no."""
+def _may_move(cell: Workcell, operator: Operator) -> bool:
+    """Whether somebody gives leave; where nobody is, no."""
+    words = f"may {cell.arm.info.name} move now, slowly, all over its workspace? Clear the table first"
+    leave = Question(
+        words, "", lambda typed: typed.lower() in {"y", "yes"}, choices=("y", "n"), keys=" [y/N]"
+    )
     try:
-        return is_attended() and ask(Console(stderr=True), f"{question} [y/N]").lower() in {"y", "yes"}
-    except EOFError:
+        return operator.attended and operator.ask(leave)
+    except NobodyError:
         return False

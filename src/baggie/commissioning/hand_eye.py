@@ -17,10 +17,11 @@ from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.camera_to_robot import CameraToRobot, compare
-from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
+from baggie.operator import Operator
 from baggie.options.calibrating import HandEyeOptions
 from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
@@ -31,11 +32,14 @@ MAX_MISSES = 20
 """Pictures in a row without the board, or poses out of reach, before giving up."""
 
 
-def calibrate_hand_eye(options: HandEyeOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_hand_eye(options: HandEyeOptions, *, operator: Operator | None = None) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     folder = options.from_
     if folder is None:
-        with open_bench(options) as bench:
+        with open_bench(options, operator) as bench:
             folder = take_hand_eye_views(bench, options)
     result = solve_hand_eye(read_views(folder), keep_all=options.keep_all)
     result.save(options.out)
@@ -100,7 +104,7 @@ def take_hand_eye_views(bench: Bench, options: HandEyeOptions) -> Path:
             lead_to_random_pose(bench, cell.settings.workspace, rng, words)
             picture = bench.camera.look().color
             seen = board.detect(picture)
-            show_live(folder.folder, picture, seen, words)
+            bench.show(folder.folder, picture, seen, words)
             if seen is None:
                 missed += 1
                 if missed == MAX_MISSES:

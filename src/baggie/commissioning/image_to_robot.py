@@ -19,15 +19,14 @@ from baggie.calibration.image_to_robot.map import ImageToRobot, check_marker_off
 from baggie.calibration.image_to_robot.residuals import draw_residuals
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.cameras.camera import Camera
-from baggie.commissioning.assistant import PersonAtTerminal
-from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import BaggieError, CalibrationError, DataError, LimitError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, ToolPose, hand_matrix, transform_points
+from baggie.operator import Operator, progress
 from baggie.options.calibrating import ImageToRobotOptions
 from baggie.options.ranges import Point
 from baggie.pictures import read_picture, write_picture
-from baggie.progress import progress_bar
 from baggie.robot.arm import Arm, hand_pose
 from baggie.robot.limits import Limits
 from baggie.types import Image, Observation
@@ -116,12 +115,17 @@ def parse_marker(spec: str) -> tuple[Find, Marker | None]:
 MARGIN_M = 0.03
 
 
-def calibrate_image_to_robot(options: ImageToRobotOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_image_to_robot(
+    options: ImageToRobotOptions, *, operator: Operator | None = None
+) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     if options.from_ is not None:
         result = _fit_folder(options.from_, options)
     else:
-        with open_bench(options, PersonAtTerminal(prepared=options.prepared)) as bench:
+        with open_bench(options, operator, prepared=options.prepared) as bench:
             result = calibrate_image_to_robot_live(bench, options)
     result.save(options.out)
     picture = options.out.with_suffix(".png")
@@ -171,13 +175,13 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
         marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
     )
     try:
-        with progress_bar("driving over the workspace", len(wanted), len(visited), bench.console) as advance:
+        with progress(bench.operator, "driving over the workspace", len(wanted), len(visited)) as advance:
             for number, hand, observation in visit(cell.arm, bench.camera, wanted[missing], in_hand):
                 pixel = find(observation.color)
                 words = f"point {missing[number] + 1} of {len(wanted)}: " + (
                     "no marker" if pixel is None else "found"
                 )
-                show_live(folder.folder, observation.color, _as_seen(pixel), words)
+                bench.show(folder.folder, observation.color, _as_seen(pixel), words)
                 if pixel is not None:
                     view = {
                         "point": int(missing[number]),

@@ -17,9 +17,10 @@ from baggie.calibration.intrinsics.fit import (
     is_new,
     next_view,
 )
-from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
+from baggie.operator import Operator
 from baggie.options.calibrating import IntrinsicsOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import parse_target
@@ -28,15 +29,18 @@ MAX_LOOKS = 400
 """Pictures looked at before giving up on a board that is never shown where it is needed."""
 
 
-def calibrate_intrinsics(options: IntrinsicsOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_intrinsics(options: IntrinsicsOptions, *, operator: Operator | None = None) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     if options.factory is not None:
         calibration = import_intrinsics(options.factory, options.name or options.factory.stem)
     elif options.from_ is not None:
         name = options.name or options.from_.resolve().stem
         calibration = calibrate_intrinsics_from(options.from_, parse_target(options.board), name)
     else:
-        with open_bench(options) as bench:
+        with open_bench(options, operator) as bench:
             calibration = calibrate_intrinsics_live(bench, options)
     calibration.save(options.out)
     result: dict[str, Any] = {"calibration": str(options.out), **calibration.summary()}
@@ -76,7 +80,7 @@ def calibrate_intrinsics_live(bench: Bench, options: IntrinsicsOptions) -> Camer
                     raise
                 break  # a video is over, or the cable came off: what was seen may be enough
             seen = target.detect(picture)
-            show_live(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
+            bench.show(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
             if seen is not None and is_new(views, seen):
                 folder.append({}, picture)
                 views.append(BoardView(folder.views[-1]["image"], seen))

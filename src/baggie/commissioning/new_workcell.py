@@ -17,19 +17,10 @@ import yaml
 
 from baggie.cameras.camera import Kind
 from baggie.cameras.opencv import is_live
-from baggie.commissioning.questions import (
-    Questions,
-    bounds,
-    color,
-    entry,
-    number,
-    one_of,
-    several,
-    spaced,
-    word,
-)
+from baggie.commissioning.questions import bounds, color, entry, number, several, spaced, word
 from baggie.errors import BaggieError, DataError, explained
 from baggie.files import parse_yaml, write_text
+from baggie.operator import Operator, Question, TerminalOperator, choice
 from baggie.options.workcells import NewWorkcellOptions, ShowWorkcellOptions
 from baggie.robot.arm import ArmInfo
 from baggie.robot.franka.models import MODELS
@@ -73,82 +64,82 @@ class NewArm:
     """Where bags may lie, unless a person says otherwise."""
 
 
-def _franka(questions: Questions, _folder: Path) -> NewArm:
-    host = questions.ask("the address of the arm's control box", "172.16.0.2", word)
-    model = questions.ask("which model: fr3 or panda", "fr3", entry(FrankaEntry, "model"))
-    speed = _speed(questions, FrankaEntry.model_fields["speed"].default)
+def _franka(operator: Operator, _folder: Path) -> NewArm:
+    host = operator.ask(Question("the address of the arm's control box", "172.16.0.2", word))
+    model = operator.ask(Question("which model: fr3 or panda", "fr3", entry(FrankaEntry, "model")))
+    speed = _speed(operator, FrankaEntry.model_fields["speed"].default)
     words = "does this computer have a real-time kernel (uname -a says PREEMPT_RT)? yes or no"
-    realtime = questions.ask(words, "yes", one_of("yes", "no")) == "yes"
+    realtime = operator.ask(choice(words, "yes", ("yes", "no"))) == "yes"
     return NewArm({"host": host, "model": model, "speed": speed, "realtime": realtime})
 
 
-def _lerobot(questions: Questions, _folder: Path) -> NewArm:
+def _lerobot(operator: Operator, _folder: Path) -> NewArm:
     fields = LeRobotEntry.model_fields
-    kind = questions.ask("LeRobot's name for the robot", "so101_follower", word)
+    kind = operator.ask(Question("LeRobot's name for the robot", "so101_follower", word))
     small = kind in _SO101
     arm: dict[str, Any] = {"type": kind}
     for name, words, default in (
         ("port", f"its port, or {_NONE} for none", "/dev/ttyACM0"),
         ("id", f"the name of its calibration, or {_NONE} for none", _NONE),
     ):
-        answer = questions.ask(words, default, word)
+        answer = operator.ask(Question(words, default, word))
         arm |= {} if answer == _NONE else {name: answer}
     if small:
         arm["options"] = {"disable_torque_on_disconnect": False}  # or it goes limp at the end
     words = "its MJCF or URDF file, from this file's folder"
-    arm["model"] = questions.ask(words, "so101_new_calib.urdf" if small else "", str)
+    arm["model"] = operator.ask(Question(words, "so101_new_calib.urdf" if small else None, str))
     words = "the site, body or link in it that moves with the hand"
-    arm["tool"] = questions.ask(words, fields["tool"].default, word)
+    arm["tool"] = operator.ask(Question(words, fields["tool"].default, word))
     words = "the turn from there to a frame with z along the fingers and y the way they open: roll pitch yaw, degrees"
     turn = spaced(_SO101_TOOL_RPY if small else fields["tool_rpy_deg"].default)
-    arm["tool_rpy_deg"] = questions.ask(words, turn, several(number, 3))
+    arm["tool_rpy_deg"] = operator.ask(Question(words, turn, several(number, 3)))
     words = "how high above the table it stands, in metres"
-    arm["base_z_m"] = questions.ask(words, "0", entry(LeRobotEntry, "base_z_m"))
+    arm["base_z_m"] = operator.ask(Question(words, "0", entry(LeRobotEntry, "base_z_m")))
     names = tuple(joint.name for joint in fields["joints"].default)
-    arm["joints"] = questions.ask("its joints, from base to wrist", spaced(names), several(word))
+    arm["joints"] = operator.ask(Question("its joints, from base to wrist", spaced(names), several(word)))
     words = "their positions, in degrees or normalized to -100 to 100"
-    arm["units"] = questions.ask(words, fields["units"].default, entry(LeRobotEntry, "units"))
+    arm["units"] = operator.ask(Question(words, fields["units"].default, entry(LeRobotEntry, "units")))
     words = "their positions out of the camera's view, the tool pointing down"
-    park = spaced(_SO101_PARK) if small and tuple(arm["joints"]) == names else ""
-    arm["park"] = questions.ask(words, park, several(number, len(arm["joints"])))
-    width_m = _width(questions, 0.07)
+    park = spaced(_SO101_PARK) if small and tuple(arm["joints"]) == names else None
+    arm["park"] = operator.ask(Question(words, park, several(number, len(arm["joints"]))))
+    width_m = _width(operator, 0.07)
     arm["widths"] = [[0.0, 0.0], [100.0, width_m]]
-    arm["speed"] = _speed(questions, fields["speed"].default)
+    arm["speed"] = _speed(operator, fields["speed"].default)
     if small:
         return NewArm(arm, {"handling": _SMALL_HANDLING}, workspace=_SMALL)
     return NewArm(arm)
 
 
-def _python(questions: Questions, _folder: Path) -> NewArm:
-    return NewArm(ask_factory(questions, "arm"))
+def _python(operator: Operator, _folder: Path) -> NewArm:
+    return NewArm(ask_factory(operator, "arm"))
 
 
-def ask_factory(questions: Questions, what: str) -> dict[str, Any]:
+def ask_factory(operator: Operator, what: str) -> dict[str, Any]:
     """Which function makes an arm, or a camera, of one's own, and what it is given."""
     words = (
         f"what makes the {what}, as module:function; the module is installed, or lies in this file's folder"
     )
-    factory = questions.ask(words, f"own_{what}:open_{what}", entry(PythonEntry, "factory"))
+    factory = operator.ask(Question(words, f"own_{what}:open_{what}", entry(PythonEntry, "factory")))
     words = f"what it is given, as name=value apart by spaces, or {_NONE} for nothing"
-    return {"factory": factory, **questions.ask(words, _NONE, _options)}
+    return {"factory": factory, **operator.ask(Question(words, _NONE, _options))}
 
 
-def _replay(questions: Questions, folder: Path) -> NewArm:
+def _replay(operator: Operator, folder: Path) -> NewArm:
     def recording(answer: str) -> str:
         if not (folder / answer).is_dir():
             raise ValueError("expected a folder that is there")
         return answer
 
     words = "the recording's folder, from this file's own"
-    return NewArm({"recording": questions.ask(words, "", recording)}, real=False)
+    return NewArm({"recording": operator.ask(Question(words, None, recording))}, real=False)
 
 
-def _sim(questions: Questions, _folder: Path) -> NewArm:
-    cell = questions.ask("number of the simulated cell", "0", entry(WorkcellFile, "cell"))
+def _sim(operator: Operator, _folder: Path) -> NewArm:
+    cell = operator.ask(Question("number of the simulated cell", "0", entry(WorkcellFile, "cell")))
     return NewArm({}, {"cell": cell}, real=False)
 
 
-ARMS: Mapping[str, Callable[[Questions, Path], NewArm]] = {
+ARMS: Mapping[str, Callable[[Operator, Path], NewArm]] = {
     "franka": _franka,
     "lerobot": _lerobot,
     "python": _python,
@@ -158,20 +149,20 @@ ARMS: Mapping[str, Callable[[Questions, Path], NewArm]] = {
 """By kind; each is told the folder that the file will be in."""
 
 
-def _speed(questions: Questions, default: float) -> float:
+def _speed(operator: Operator, default: float) -> float:
     words = "share of full speed; 0.1 until you have watched it work"
-    speed: float = questions.ask(words, f"{default:g}", entry(FrankaEntry, "speed"))
+    speed: float = operator.ask(Question(words, f"{default:g}", entry(FrankaEntry, "speed")))
     return speed
 
 
-def _width(questions: Questions, default_m: float) -> float:
+def _width(operator: Operator, default_m: float) -> float:
     def width(answer: str) -> float:
         value = number(answer)
         if not _NARROWEST_M <= value <= _WIDEST_M:
             raise ValueError(f"expected {_NARROWEST_M:g} to {_WIDEST_M:g}")
         return value
 
-    return questions.ask("how far its fingers open, in metres", f"{default_m:g}", width)
+    return operator.ask(Question("how far its fingers open, in metres", f"{default_m:g}", width))
 
 
 def _options(answer: str) -> dict[str, Any]:
@@ -196,14 +187,14 @@ _NEXT = """\
 """
 
 
-def new_workcell(options: NewWorkcellOptions, ask: Callable[[str], str] | None = None) -> dict[str, Any]:
+def new_workcell(options: NewWorkcellOptions, *, operator: Operator | None = None) -> dict[str, Any]:
     """Ask, write, and read it back. Raises `BaggieError` where there is a file already, or nobody answers.
 
-    `ask` prints a prompt and returns the answer; the terminal unless given.
+    The person at the terminal is asked, unless `operator` is given.
     """
     if options.out.exists():
         raise BaggieError(f"{options.out} is there already; edit it, or give another --out")
-    content = _content(Questions(ask), options.out.parent)
+    content = _content(operator or TerminalOperator(), options.out.parent)
     header = _NEXT.format(name=options.out)
     text = header + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     write_text(options.out, text)
@@ -211,37 +202,39 @@ def new_workcell(options: NewWorkcellOptions, ask: Callable[[str], str] | None =
     return {"workcell": str(options.out), "next": f"baggie doctor {options.out}"}
 
 
-def _content(questions: Questions, folder: Path) -> dict[str, Any]:
+def _content(operator: Operator, folder: Path) -> dict[str, Any]:
     words = "which arm: franka; lerobot, a robot that LeRobot drives; python, one of your own; replay, a recording; sim"
-    kind = questions.ask(words, "franka", one_of(*ARMS))
-    arm: NewArm = ARMS[kind](questions, folder)
+    kind = operator.ask(choice(words, "franka", tuple(ARMS)))
+    arm: NewArm = ARMS[kind](operator, folder)
     content: dict[str, Any] = {"arm": {"kind": kind, **arm.entry}}
     if arm.real:
-        content["camera"] = _camera(questions)
+        content["camera"] = _camera(operator)
     words = "where bags may lie, in metres from the robot's base: forward, from and to"
-    x = questions.ask(words, spaced(arm.workspace.x), bounds)
-    y = questions.ask(
-        "the same to the left (negative is right), from and to", spaced(arm.workspace.y), bounds
+    x = operator.ask(Question(words, spaced(arm.workspace.x), bounds))
+    y = operator.ask(
+        Question("the same to the left (negative is right), from and to", spaced(arm.workspace.y), bounds)
     )
     content |= {"workspace": {"x": x, "y": y}, **arm.beside}
     if kind != "replay":  # which shows the bags that it has
-        content["bag"] = _bag(questions, arm.real)
+        content["bag"] = _bag(operator, arm.real)
     return content
 
 
-def _camera(questions: Questions) -> dict[str, Any]:
+def _camera(operator: Operator) -> dict[str, Any]:
     words = (
         "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth; python, "
         "one of your own"
     )
-    kind = questions.ask(words, "opencv", one_of(*get_args(Kind), "python"))
+    kind = operator.ask(choice(words, "opencv", (*get_args(Kind), "python")))
     if kind == "python":
-        return {"kind": kind, **ask_factory(questions, "camera")}
+        return {"kind": kind, **ask_factory(operator, "camera")}
     if kind == "opencv":
         words = "its number, device or address, or the video file"
-        return {"kind": kind, "source": questions.ask(words, "0", _source)}
+        return {"kind": kind, "source": operator.ask(Question(words, "0", _source))}
     recording = " or the file of a recording" if kind == "realsense" else ""
-    source = questions.ask(f"its serial number{recording}, or any for the only one plugged in", "any", str)
+    source = operator.ask(
+        Question(f"its serial number{recording}, or any for the only one plugged in", "any", str)
+    )
     return {"kind": kind} if source == "any" else {"kind": kind, "source": source}
 
 
@@ -253,19 +246,19 @@ def _source(answer: str) -> str:
     return answer
 
 
-def _bag(questions: Questions, real: bool) -> dict[str, Any]:
+def _bag(operator: Operator, real: bool) -> dict[str, Any]:
     bag = Bag()
     words = "the bag, or what lies there in its place, length and width in metres"
-    sides = questions.ask(
-        words, spaced((bag.length_m, bag.width_m)), _real_sides if real else _simulated_sides
+    sides = operator.ask(
+        Question(words, spaced((bag.length_m, bag.width_m)), _real_sides if real else _simulated_sides)
     )
     content: dict[str, Any] = {"length_m": max(sides), "width_m": min(sides)}
     if real:
         words = "how high it is where it lies, in metres"
-        content["height_m"] = questions.ask(words, f"{bag.height_m:g}", entry(Bag, "height_m"))
+        content["height_m"] = operator.ask(Question(words, f"{bag.height_m:g}", entry(Bag, "height_m")))
         words = "is it hard, so that the hand has to go over it? yes or no"
-        content["hard"] = questions.ask(words, "no", one_of("yes", "no")) == "yes"
-    content["color"] = questions.ask("its colour, red green blue of 255", spaced(bag.color), color)
+        content["hard"] = operator.ask(choice(words, "no", ("yes", "no"))) == "yes"
+    content["color"] = operator.ask(Question("its colour, red green blue of 255", spaced(bag.color), color))
     return content
 
 

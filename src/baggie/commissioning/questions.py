@@ -1,58 +1,14 @@
-"""Questions to a person, asked until the answer will do, and what may be answered."""
+"""What may be answered to questions about a workcell."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import BaseModel, ValidationError, create_model
-from rich.console import Console
 
-from baggie.errors import BaggieError
+from baggie.operator import Answer, Parse
 from baggie.workcell.workcell_file import Bounds
-
-Answer = TypeVar("Answer")
-Parse = Callable[[str], Answer]
-"""Makes something of an answer. Raises `ValueError`, in one line, where it cannot."""
-
-
-class Questions:
-    """Asks until an answer will do."""
-
-    def __init__(self, ask: Callable[[str], str] | None = None) -> None:
-        """`ask` prints a prompt and returns the answer; the terminal unless given."""
-        self._ask = ask or partial(Console(stderr=True).input, markup=False)
-
-    def ask(self, words: str, default: str, parse: Parse[Answer]) -> Answer:
-        """Enter alone takes the default; where that is empty, there has to be an answer.
-
-        Raises `BaggieError` where nobody answers.
-        """
-        hint, offer = "", f" ({default})" if default else ""
-        while True:
-            try:
-                answer = self._ask(f"{hint}{words}{offer}: ").strip()
-            except EOFError:
-                raise BaggieError(f"nobody answers: {words}; run this in a terminal") from None
-            try:
-                if not (answer or default):
-                    raise ValueError("expected an answer")
-                return parse(answer or default)
-            except ValueError as error:
-                hint = f"{answer!r} will not do ({error}); "
-
-
-def one_of(*choices: str) -> Parse[str]:
-    """One of these words."""
-
-    def parse(answer: str) -> str:
-        if answer not in choices:
-            raise ValueError(f"expected {', '.join(choices[:-1])} or {choices[-1]}")
-        return answer
-
-    return parse
 
 
 def entry(model: type[BaseModel], name: str) -> Parse[Any]:

@@ -18,23 +18,29 @@ from baggie.calibration.world.camera_to_robot import compose
 from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.world.robot_to_world import RobotToWorld, fit_from_axes, fit_from_points
 from baggie.commissioning.printed import T_world_target, points_to_touch
-from baggie.commissioning.session import Bench, ViewFolder, open_bench, show_live
+from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import transform_points
+from baggie.operator import Operator
 from baggie.options.calibrating import CameraToWorldOptions, RobotToWorldOptions
 from baggie.pictures import read_pictures
 from baggie.robot.arm import hand_pose
 from baggie.vision.targets import Seen, Target, parse_target, with_sag
 
 
-def calibrate_camera_to_world(options: CameraToWorldOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_camera_to_world(
+    options: CameraToWorldOptions, *, operator: Operator | None = None
+) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     target = parse_target(options.target)
     if options.from_ is not None:
         lens = CameraCalibration.load(options.intrinsics)
         result = _from_pictures(options.from_, lens.shaped(target), lens)
     else:
-        with open_bench(options) as bench:
+        with open_bench(options, operator) as bench:
             result = calibrate_camera_to_world_live(bench, options)
     result.save(options.out)
     return {
@@ -63,7 +69,7 @@ def calibrate_camera_to_world_live(bench: Bench, options: CameraToWorldOptions) 
         if observation.depth is not None:
             depths.append(observation.depth)
         found = target.detect(picture)
-        show_live(folder.folder, picture, found, f"the target on the table, picture {len(folder) + 1}")
+        bench.show(folder.folder, picture, found, f"the target on the table, picture {len(folder) + 1}")
         if found is None:
             raise CalibrationError(f"the target {target.spec} is not seen: {target.why_not(picture)}")
         folder.append({}, picture)
@@ -96,13 +102,18 @@ def _from_pictures(
     )
 
 
-def calibrate_robot_to_world(options: RobotToWorldOptions) -> dict[str, Any]:
-    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live."""
+def calibrate_robot_to_world(
+    options: RobotToWorldOptions, *, operator: Operator | None = None
+) -> dict[str, Any]:
+    """Calibrate and save; the result, ready for JSON. Raises `BaggieError`, or `KeyboardInterrupt` live.
+
+    The person at the terminal is told and asked, unless `operator` is given.
+    """
     camera = None if options.camera_to_world is None else CameraToWorld.load(options.camera_to_world)
     if options.from_ is not None:
         result = _fit(read_views_file(options.from_)["views"], options)
     else:
-        with open_bench(options) as bench:
+        with open_bench(options, operator) as bench:
             result = calibrate_robot_to_world_live(bench, options, camera)
     result.save(options.out)
     summary: dict[str, Any] = {"calibration": str(options.out), **result.summary()}

@@ -1,4 +1,4 @@
-"""What a calibration works with: a camera, an arm perhaps, somebody to help, and a screen to tell them.
+"""What a calibration works with: a camera, an arm perhaps, somebody to help, and a way to tell them.
 
 What it is made from is kept in a folder, pictures and what goes with each, so that it can be made again.
 """
@@ -14,15 +14,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rich.console import Console
 
 from baggie import seeds
 from baggie.calibration.files import VIEWS_FILE, CameraIdentity, read_views_file
 from baggie.cameras.camera import Camera, CameraSettings
 from baggie.cameras.opening import open_camera
-from baggie.commissioning.assistant import Assistant, PersonAtTerminal
+from baggie.commissioning.assistant import Assistant, Person
 from baggie.errors import BaggieError, CalibrationError
-from baggie.files import write_if_possible, write_text
+from baggie.files import write_text
+from baggie.operator import Line, Operator, Picture, TerminalOperator
 from baggie.options.calibrating import LiveOptions
 from baggie.pictures import write_picture
 from baggie.types import Image, Observation
@@ -37,7 +37,7 @@ class Bench:
     camera: Camera
     cell: Workcell | None
     assistant: Assistant
-    console: Console
+    operator: Operator
 
     @property
     def identity(self) -> CameraIdentity:
@@ -57,22 +57,33 @@ class Bench:
         return self.cell.look() if self.cell is not None else self.camera.look()
 
     def say(self, words: str) -> None:
-        """A line for the person at the terminal."""
-        self.console.print(words, highlight=False)
+        """Tell in a line what came of something."""
+        self.operator.tell(Line(words))
+
+    def show(self, folder: Path, picture: Image, seen: Seen | None, words: str) -> None:
+        """Show what the camera sees now, what was found in it, and what to do next.
+
+        A file of it, FOLDER.live.jpg, is not in the folder, whose pictures are to be measured in.
+        """
+        path = folder.with_name(folder.name + ".live.jpg")
+        self.operator.tell(Picture(drawn_upon(picture, seen, words), path))
 
 
 @contextmanager
-def open_bench(options: LiveOptions, person: Assistant | None = None) -> Iterator[Bench]:
+def open_bench(
+    options: LiveOptions, operator: Operator | None = None, *, prepared: bool = False
+) -> Iterator[Bench]:
     """Open what the options name, and close it after. Raises `BaggieError`, `CameraError`.
 
-    `person` helps at a real workcell: one at the terminal unless given.
+    A person helps at a real workcell, who finds it `prepared` or not: the one at the terminal unless `operator` is
+    given.
     """
-    person = person or PersonAtTerminal()
-    console = Console(stderr=True)
+    operator = operator or TerminalOperator()
+    person = Person(operator, prepared=prepared)
     if options.camera is not None:
         camera = open_camera(CameraSettings.from_words(options.camera))
         try:
-            yield Bench(camera, None, person, console)
+            yield Bench(camera, None, person, operator)
         finally:
             camera.close()
         return
@@ -80,7 +91,7 @@ def open_bench(options: LiveOptions, person: Assistant | None = None) -> Iterato
 
     cell = open_workcell(options.workcell, options.cell)
     try:
-        yield Bench(cell.camera, cell, _assistant(cell, options.seed, person), console)
+        yield Bench(cell.camera, cell, _assistant(cell, options.seed, person), operator)
     finally:
         cell.close()
 
@@ -95,11 +106,8 @@ def _assistant(cell: Workcell, seed: int, person: Assistant) -> Assistant:
     return SimulatedAssistant(cell, seed)
 
 
-def show_live(folder: Path, picture: Image, seen: Seen | None, words: str) -> None:
-    """Write FOLDER.live.jpg: what the camera sees now, what was found in it, and what to do next.
-
-    Not into the folder, whose pictures are to be measured in. Any picture viewer that reloads shows it live.
-    """
+def drawn_upon(picture: Image, seen: Seen | None, words: str) -> Image:
+    """A picture with what was found in it, and words above."""
     canvas = picture.copy()
     radius = max(2, picture.shape[1] // 320)
     for u, v in np.zeros((0, 2)) if seen is None else seen.pixels:
@@ -117,7 +125,7 @@ def show_live(folder: Path, picture: Image, seen: Seen | None, words: str) -> No
         1,
         cv2.LINE_AA,
     )
-    write_if_possible(folder.with_name(folder.name + ".live.jpg"), lambda path: write_picture(path, canvas))
+    return canvas
 
 
 class ViewFolder:

@@ -13,8 +13,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from baggie.calibration.files import MAP_FILE
 from baggie.collect.calibrate import calibrate_into
 from baggie.data.files import CALIBRATION_FOLDER
@@ -22,6 +20,7 @@ from baggie.evaluation.episode import Episode, Kind, run_episode
 from baggie.evaluation.setup import Bench, card_map
 from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
 from baggie.metrics import Rate, success_rate, summary, within_stated
+from baggie.operator import Caution, Operator, progress
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import ColorMaskPolicy
 from baggie.policies.color_mask import CONFIG_FILE
@@ -113,8 +112,8 @@ def _note(episode: Episode) -> str:
     return f"last {episode.distance_cm:.1f} cm from its goal"
 
 
-def _conditions(options: EvaluateOptions, console: Console) -> dict[str, Any]:
-    raised = {"card_raised": _card_raised(options, console)} if options.goal == "card" else {}
+def _conditions(options: EvaluateOptions, operator: Operator) -> dict[str, Any]:
+    raised = {"card_raised": _card_raised(options, operator)} if options.goal == "card" else {}
     where: dict[str, Any] = {"scenery": options.scenery}
     if options.workcell is not None:
         where = {"workcell_says": _says(options.workcell)}
@@ -155,19 +154,20 @@ def _maps(options: EvaluateOptions) -> list[Path]:
     return [] if of_the_card is None else [of_the_card]
 
 
-def _card_raised(options: EvaluateOptions, console: Console) -> bool:
+def _card_raised(options: EvaluateOptions, operator: Operator) -> bool:
     """Whether a map of the cell is, or will be, known that raises a card's corners to the bag's height."""
     will_be = options.policy == ColorMaskPolicy.name and options.calibration is None
     if will_be or card_map(options) is not None:
         return True
-    console.print(
-        "warning: no calibration of this cell tells how much lower a card lies than a bag's middle; its corners are "
+    as_seen = (
+        "no calibration of this cell tells how much lower a card lies than a bag's middle; its corners are "
         "taken as seen, some millimetres off at the picture's edge; give --calibration a recording of the cell"
     )
+    operator.tell(Caution(as_seen))
     return False
 
 
-def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
+def _calibrate_if_needed(options: EvaluateOptions, operator: Operator) -> None:
     """Calibrate the cell for `color-mask`, once for all processes, unless a calibration is given."""
     folder = options.out / CALIBRATION_FOLDER
     needed = (
@@ -178,7 +178,7 @@ def _calibrate_if_needed(options: EvaluateOptions, console: Console) -> None:
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
     with (
-        console.status("calibrating the picture to the robot"),
+        progress(operator, "calibrating the picture to the robot"),
         closing(open_simulated(options.cell)) as cell,
     ):
         calibrate_into(folder, cell, options.seed)

@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import torch
-from rich.console import Console
 
 from baggie.collect.cell import robot_of
 from baggie.errors import BaggieError
@@ -19,10 +18,10 @@ from baggie.evaluation.block_episode import BLOCKS
 from baggie.evaluation.episode import EpisodeRecord, Kind
 from baggie.evaluation.log import append_line, read_log
 from baggie.evaluation.subjects import UNKNOWN, check_taught, config_of, fingerprint, in_its_cell, policy_name
+from baggie.operator import Caution, Operator, TerminalOperator, progress
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.learned import check_device
-from baggie.processes import stream_in_processes
-from baggie.progress import progress_bar
+from baggie.processes import Executor, LocalProcesses
 from baggie.results import EVALUATION, check_unmixed, provenance, write_json
 
 __all__ = ["EvaluateOptions", "OpenBench", "evaluate"]
@@ -35,11 +34,18 @@ process, so it must be a function of a module.
 """
 
 
-def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> dict[str, Any]:
+def evaluate(
+    options: EvaluateOptions,
+    open_bench: OpenBench | None = None,
+    *,
+    operator: Operator | None = None,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
     """Run the episodes that are missing in `options.out`, write `metrics.json` there, and return it.
 
     The same options give the same episodes, whatever the number of workers and however often interrupted; in a real
-    workcell each starts where the one before it ended. The bench is of the options' cell unless `open_bench` is given.
+    workcell each starts where the one before it ended. The bench is of the options' cell unless `open_bench` is given;
+    the person at the terminal is told, and processes of this machine run them, unless `operator` or `executor` is.
     Raises `BaggieError` for an unknown task, scenery, goal or policy, for what a real workcell cannot go on with, or
     when `out` holds another evaluation; `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
@@ -47,23 +53,22 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
     check_device(options.device)
     check_unmixed(options.out, EVALUATION)
     kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
-    console = Console(stderr=True)
+    operator = operator or TerminalOperator()
     name = policy_name(options.policy)
     check_taught(options.policy, options.task)
-    _warn_of_another_cell(options, console)
-    conditions = kind.conditions(options, console) if kind.conditions else {}
+    _warn_of_another_cell(options, operator)
+    conditions = kind.conditions(options, operator) if kind.conditions else {}
     _same_evaluation(options, conditions)
     if open_bench is None and kind.prepare:
-        kind.prepare(options, console)
+        kind.prepare(options, operator)
     log = options.out / kind.log
     episodes: dict[int, EpisodeRecord] = {each.episode: each for each in read_log(log, kind.episode)}
     missing = [number for number in range(options.episodes) if number not in episodes]
     worker = partial(_open_worker, options, kind, open_bench or kind.open_bench)
     try:
-        with progress_bar(
-            "evaluating", options.episodes, options.episodes - len(missing), console
-        ) as advance:
-            for episode in stream_in_processes(worker, missing, options.processes):
+        with progress(operator, "evaluating", options.episodes, options.episodes - len(missing)) as advance:
+            run = (executor or LocalProcesses()).stream
+            for episode in run(worker, missing, options.processes, operator):
                 append_line(log, episode.to_json())
                 episodes[episode.episode] = episode
                 advance(kind.note(episode))
@@ -85,7 +90,7 @@ def evaluate(options: EvaluateOptions, open_bench: OpenBench | None = None) -> d
 
 
 def _open_worker(
-    options: EvaluateOptions, kind: Kind[Any, Any], open_bench: OpenBench
+    options: EvaluateOptions, kind: Kind[Any, Any], open_bench: OpenBench, _operator: Operator
 ) -> Callable[[int], Iterable[EpisodeRecord]]:
     # Sums in another order would give other plans: results must not depend on how many work beside.
     torch.set_num_threads(1)
@@ -98,10 +103,11 @@ def _open_worker(
     return run
 
 
-def _warn_of_another_cell(options: EvaluateOptions, console: Console) -> None:
+def _warn_of_another_cell(options: EvaluateOptions, operator: Operator) -> None:
     if options.workcell is None and not in_its_cell(options.policy, options.cell):
         trained_in = config_of(options.policy)["cell"]
-        console.print(f"warning: {options.policy} belongs to cell {trained_in}, not to cell {options.cell}")
+        belongs = f"{options.policy} belongs to cell {trained_in}, not to cell {options.cell}"
+        operator.tell(Caution(belongs))
 
 
 def _place(options: EvaluateOptions) -> dict[str, Any]:

@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from rich.console import Console
-
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
 from baggie.evaluation.log import Record
@@ -23,6 +21,7 @@ from baggie.evaluation.pictures import EpisodeScene, save_mp4, save_pictures
 from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.metrics import position_error_cm, yaw_error_deg
+from baggie.operator import Operator
 from baggie.options.choices import GoalKind
 from baggie.options.evaluating import EvaluateOptions
 from baggie.types import Goal, Observation, Outcome, Plan
@@ -55,10 +54,10 @@ class Kind(Generic[AnyBench, AnyEpisode]):
     measure: Callable[[Sequence[AnyEpisode], EvaluateOptions], dict[str, Any]]
     """What many episodes say together; `success` first."""
     note: Callable[[AnyEpisode], str]
-    """How one ended, beside the progress bar."""
-    conditions: Callable[[EvaluateOptions, Console], dict[str, Any]] | None = None
+    """How one ended, beside the progress."""
+    conditions: Callable[[EvaluateOptions, Operator], dict[str, Any]] | None = None
     """What else an evaluation differs by than task, policy, cell and seed; warns of what may surprise."""
-    prepare: Callable[[EvaluateOptions, Console], None] | None = None
+    prepare: Callable[[EvaluateOptions, Operator], None] | None = None
     """What has to be done once, before any process opens a bench."""
 
 

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
@@ -23,6 +21,7 @@ from baggie.errors import BaggieError
 from baggie.evaluation.pictures import Mark, Region, backdrop, heat_over, marked, save_jpeg
 from baggie.geometry import FloatArray, Grid, PlanarPose
 from baggie.metrics import action_errors, references, summary, symmetry_of, within_stated
+from baggie.operator import Operator, progress
 from baggie.policies import Policy
 from baggie.types import Attempt, PickPlace, Plan
 from baggie.vision.draw import paint_goal
@@ -88,20 +87,22 @@ class Prediction:
         }
 
 
-def predict(policy: Policy, attempts: Iterable[Attempt], total: int) -> list[Prediction]:
+def predict(policy: Policy, attempts: Iterable[Attempt], total: int, operator: Operator) -> list[Prediction]:
     """The policy's word on each attempt, each timed; the very first plan is made twice, to warm up."""
     predictions: list[Prediction] = []
-    for attempt in track(attempts, "validating", total, console=Console(stderr=True)):
-        goal = shown_goal(attempt)
-        for _ in range(1 if predictions else 2):
-            plan, message = None, ""
-            start = time.perf_counter()
-            try:
-                plan = policy.plan(attempt.before, goal)
-            except BaggieError as error:
-                message = str(error)
-            decision_ms = 1000 * (time.perf_counter() - start)
-        predictions.append(_prediction(attempt, plan, decision_ms, message))
+    with progress(operator, "validating", total) as advance:
+        for attempt in attempts:
+            goal = shown_goal(attempt)
+            for _ in range(1 if predictions else 2):
+                plan, message = None, ""
+                start = time.perf_counter()
+                try:
+                    plan = policy.plan(attempt.before, goal)
+                except BaggieError as error:
+                    message = str(error)
+                decision_ms = 1000 * (time.perf_counter() - start)
+            predictions.append(_prediction(attempt, plan, decision_ms, message))
+            advance()
     return predictions
 
 

@@ -20,6 +20,7 @@ from baggie.evaluation.predictions import Scene, measure, predict, save_pictures
 from baggie.evaluation.scored_plans import with_what_was_carried, would_count
 from baggie.evaluation.subjects import config_of, open_policy
 from baggie.geometry import FloatArray
+from baggie.operator import Operator, TerminalOperator
 from baggie.options.evaluating import ValidateOptions
 from baggie.policies import ColorMaskPolicy
 from baggie.results import VALIDATION, check_unmixed, provenance, write_json
@@ -130,7 +131,7 @@ CAMERA, HEIGHT_MAPS = "camera", "height maps"
 """What pictures a policy was measured on."""
 
 
-def validate(options: ValidateOptions) -> dict[str, Any]:
+def validate(options: ValidateOptions, *, operator: Operator | None = None) -> dict[str, Any]:
     """Measure, write `metrics.json`, `predictions.json` and pictures of the ten worst; returns the metrics.
 
     Pick and place errors are against `"labels"` (poses the arm was really at) and, where the recording has it, against
@@ -138,16 +139,17 @@ def validate(options: ValidateOptions) -> dict[str, Any]:
     several steps the labels are what the demonstrator chose; `"would_count"`, where the recording tells, is the share
     of plans that would have been as right. A place is compared by where what was picked comes to lie, where height maps
     tell that the plan picks it, too. Raises `BaggieError` when there is nothing to measure on, or the policy can
-    tell nothing.
+    tell nothing. The person at the terminal is told how far it is, unless `operator` is given.
     """
     check_unmixed(options.out, VALIDATION)
+    operator = operator or TerminalOperator()
     dataset = open_dataset(options.data)
     policy = open_policy(options.policy, options.calibration or options.data)
     if isinstance(policy, ColorMaskPolicy) and dataset.squeezed:  # the map sees what the recording shows
         policy.image_to_robot = policy.image_to_robot.squeezed(dataset.settings.picture_size)
     chosen = held_out(options.policy, dataset, options.last)
     attempts = (dataset[index] for index in chosen.indices)
-    predictions = with_what_was_carried(dataset, predict(policy, attempts, len(chosen.indices)))
+    predictions = with_what_was_carried(dataset, predict(policy, attempts, len(chosen.indices), operator))
     counted = would_count(dataset, predictions)
     symmetries = sorted({prediction.symmetry for prediction in predictions})
     metrics = {

@@ -35,9 +35,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from baggie.errors import DataError
 from baggie.learning.split import Split
+from baggie.operator import Operator, progress
 from baggie.policies.checkpoint import write_files
 from baggie.policies.learned import LearnedPolicy
-from baggie.progress import progress_bar
 from baggie.types import Attempt
 
 T = TypeVar("T")
@@ -240,10 +240,14 @@ class Training:
         seed: int,
         save_every_s: float,
         accelerator: Accelerator,
+        operator: Operator,
     ) -> None:
-        """Take up what is saved in the folder, if anything is. Raises `DataError` when that is damaged."""
+        """Take up what is saved in the folder, if anything is. Raises `DataError` when that is damaged.
+
+        `operator` is told how far it is.
+        """
         self.recipe, self.folder, self.steps, self.seed = recipe, folder, steps, seed
-        self._accelerator = accelerator
+        self._accelerator, self._operator = accelerator, operator
         network = recipe.policy.network.to(accelerator.device)
         optimizer = recipe.optimizer()
         self._rates = [float(group["lr"]) for group in optimizer.param_groups]
@@ -274,12 +278,7 @@ class Training:
         state = self._state
         with (
             SummaryWriter(str(self.folder), purge_step=state.step) as board,
-            progress_bar(
-                f"training {self.policy.name}",
-                self.steps,
-                state.step,
-                shown=self._accelerator.is_main_process,
-            ) as advance,
+            progress(self._operator, f"training {self.policy.name}", self.steps, state.step) as advance,
             deferred_interrupt() as interrupted,
             flushed_denormals(),
         ):

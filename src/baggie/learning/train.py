@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from accelerate import Accelerator
-from rich.console import Console
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
@@ -21,6 +20,7 @@ from baggie.errors import DataError
 from baggie.learning.loop import Recipe, Training
 from baggie.learning.measure import measure
 from baggie.learning.split import Split
+from baggie.operator import Line, Nobody, Operator, TerminalOperator
 from baggie.options.training import TrainOptions
 from baggie.policies import checkpoint
 from baggie.policies.learned import LearnedPolicy, check_device
@@ -37,18 +37,22 @@ def train(
     options: TrainOptions,
     attempts: Sequence[Attempt] | None = None,
     make_recipe: Callable[[Sequence[Attempt]], Recipe] | None = None,
+    *,
+    operator: Operator | None = None,
 ) -> dict[str, Any]:
     """Train a policy, or go on with it, or find it finished; returns what stands in its `metrics.json`.
 
     `attempts` replaces the recording that `options.data` names; `make_recipe` makes a recipe of your own from those to
     learn from, in place of the one that the options name. The last weights (the last average of them,
     where the recipe keeps one) are the result, by rule: nothing is chosen by looking. The truth of simulated
-    attempts goes into `metrics.json` and nowhere else. Raises `BaggieError` for what a user can mend, and
+    attempts goes into `metrics.json` and nowhere else. The person at the terminal is told how far it is, unless
+    `operator` is given. Raises `BaggieError` for what a user can mend, and
     KeyboardInterrupt, whose message says how to go on, when stopped.
     """
     options.check()
     check_unmixed(options.out, TRAINING)
     accelerator = _accelerator(options.device)
+    operator = (operator or TerminalOperator()) if accelerator.is_main_process else Nobody()
     recorded = open_dataset(options.data) if attempts is None else attempts
     kind: type[Recipe] = named(options.recipe)
     split = kind.split(recorded, options.train, options.val)
@@ -61,22 +65,24 @@ def train(
     _claim(options, recipe.policy, accelerator)
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
-        Console(stderr=True).print(note)
+        operator.tell(Line(note))
         finished: dict[str, Any] = read_json(options.out / METRICS)
         return finished
-    if None in (options.train, options.val) and accelerator.is_main_process:
+    if None in (options.train, options.val):
         train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
-        Console(stderr=True).print(
+        numbers = (
             f"learning from {train} attempts, measuring on {val} others (--train and --val say how many)"
         )
-    if isinstance(recorded, Dataset) and recorded.squeezed and accelerator.is_main_process:
+        operator.tell(Line(numbers))
+    if isinstance(recorded, Dataset) and recorded.squeezed:
         (width, height), (to_width, to_height) = recorded.camera_size, recorded.settings.picture_size
-        Console(stderr=True).print(
+        squeezed = (
             f"these pictures of {width} x {height} were squeezed to {to_width} x {to_height} when they were recorded; "
             "the policy will squeeze what it sees alike"
         )
-    if accelerator.is_main_process and (note := recipe.note()):
-        Console(stderr=True).print(note)
+        operator.tell(Line(squeezed))
+    if note := recipe.note():
+        operator.tell(Line(note))
     training = Training(
         recipe,
         options.out,
@@ -84,6 +90,7 @@ def train(
         seed=options.seed,
         save_every_s=options.save_every_s,
         accelerator=accelerator,
+        operator=operator,
     )
     judge = partial(measure, attempts=split.val, symmetry=recipe.symmetry)
     seconds = training.run(judge)

@@ -15,8 +15,8 @@ from baggie.data.summary import inspect_dataset
 from baggie.data.writer import DatasetWriter
 from baggie.errors import BaggieError, DataError, UsageError
 from baggie.geometry import Grid
+from baggie.operator import Operator, TerminalOperator, progress
 from baggie.options.collecting import ImportOptions
-from baggie.progress import progress_bar
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensAction, RavensEpisode, RavensFolder, pose_to_planar
 from baggie.types import Attempt, Outcome, PickPlace
@@ -24,9 +24,12 @@ from baggie.types import Attempt, Outcome, PickPlace
 _NOWHERE = np.full((4, 2), np.nan)
 
 
-def import_ravens(options: ImportOptions) -> dict[str, Any]:
+def import_ravens(
+    folder: Path, options: ImportOptions, *, operator: Operator | None = None
+) -> dict[str, Any]:
     """Convert all episodes of a Ravens folder; the recording's summary, ready for JSON.
 
+    The person at the terminal is told how far it is, unless `operator` is given.
     Raises `DataError` when the folder is none of Ravens', an action tilts the object, two episodes have the same
     number, or `options.out` holds another recording; what was converted before stays. Raises `KeyboardInterrupt`, with
     how to go on as its message, when stopped.
@@ -43,7 +46,7 @@ def import_ravens(options: ImportOptions) -> dict[str, Any]:
         collection={"ravens": Path(folder).resolve().name, "grid": asdict(grid)},
     ) as writer:
         try:
-            _convert(source, writer, grid)
+            _convert(source, writer, grid, operator or TerminalOperator())
         except KeyboardInterrupt:
             begun = f"{len(writer.episodes)} of {len(source)} episodes begun"
             raise KeyboardInterrupt(f"interrupted with {begun}; go on with: {options.command()}") from None
@@ -58,7 +61,7 @@ def _grid(options: ImportOptions) -> Grid:
         raise UsageError(str(error)) from None
 
 
-def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
+def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid, operator: Operator) -> None:
     recorded = writer.episodes
     # They are recorded one after the other, so all but the last of them are whole.
     last = next(reversed(recorded), None)
@@ -67,7 +70,7 @@ def _convert(source: RavensFolder, writer: DatasetWriter, grid: Grid) -> None:
     if last in numbers:
         missing.insert(0, numbers.index(last))
     attempt_id = max(writer.attempt_ids, default=-1) + 1
-    with progress_bar("converting episodes", len(source), len(source) - len(missing)) as advance:
+    with progress(operator, "converting episodes", len(source), len(source) - len(missing)) as advance:
         for i in missing:
             episode = source[i]
             for attempt in attempts_of(
