@@ -24,9 +24,7 @@ from baggie.types import Attempt, Outcome, PickPlace
 _NOWHERE = np.full((4, 2), np.nan)
 
 
-def import_ravens(
-    folder: Path, options: ImportOptions, *, operator: Operator | None = None
-) -> dict[str, Any]:
+def import_ravens(options: ImportOptions, *, operator: Operator | None = None) -> dict[str, Any]:
     """Convert all episodes of a Ravens folder; the recording's summary, ready for JSON.
 
     The person at the terminal is told how far it is, unless `operator` is given.
