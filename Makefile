@@ -4,7 +4,7 @@ VENV := .venv
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-slow lint bench results lerobot clean
+.PHONY: help demo test test-slow lint docs bench results lerobot clean
 
 help: ## show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -23,6 +23,9 @@ lint: $(STAMP) ## format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+docs: $(STAMP) ## the documentation as a site, in build/docs; a dead link is an error
+	$(BIN)/python -m sphinx -b html -n -W --keep-going -d build/doctrees docs build/docs
 
 bench: $(STAMP) ## tables of speed and memory
 	for name in simulation data_read train_step decision height_map correlation; do \
@@ -60,7 +63,7 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 
 lerobot: $(STAMP) ## check with LeRobot's own tools, in an environment of its own, that they take our recordings
 	test -x .venv-lerobot/bin/python || python3.12 -m venv .venv-lerobot
-	.venv-lerobot/bin/python -m pip install --quiet "lerobot[training,dataset-viz]==0.6.1" scipy # which Baggie's geometry needs
+	.venv-lerobot/bin/python -m pip install --quiet "lerobot[training,dataset-viz]==0.6.1" scipy tyro # which Baggie's data needs
 	rm -rf build/lerobot
 	PYTHONPATH=src .venv-lerobot/bin/python tests/lerobot/check_lerobot.py build/lerobot
 

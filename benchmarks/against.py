@@ -14,6 +14,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ import tyro
 from commands import write_and_show
 
 HERE = Path(__file__).resolve().parents[1]
+THIS = "this commit"
 
 
 @dataclass(frozen=True)
@@ -42,19 +45,14 @@ class Options:
 def main(options: Options) -> None:
     """Compare, and write the table."""
     words = list(options.command)
-    with tempfile.TemporaryDirectory() as folder:
-        earlier = Path(folder) / "earlier"
-        git("worktree", "add", "--detach", str(earlier), options.commit)
-        try:
-            sources = {options.commit: earlier, "this commit": HERE}
-            times: dict[str, list[tuple[float, float, float]]] = {name: [] for name in sources}
-            for number in range(options.rounds):
-                for name, source in sources.items():
-                    out = Path(folder) / f"{name.replace(' ', '-')}-{number}"
-                    times[name].append(measured(source, [*words, "--out", str(out)]))
-                    print(f"round {number}, {name}: {times[name][-1][0]:.1f} s", file=sys.stderr, flush=True)
-        finally:
-            git("worktree", "remove", "--force", str(earlier))
+    with earlier_commit(options.commit) as earlier, tempfile.TemporaryDirectory() as folder:
+        sources = {options.commit: earlier, THIS: HERE}
+        times: dict[str, list[tuple[float, float, float]]] = {name: [] for name in sources}
+        for number in range(options.rounds):
+            for name, source in sources.items():
+                out = Path(folder) / f"{name.replace(' ', '-')}-{number}"
+                times[name].append(measured(source, ["-m", "baggie", *words, "--out", str(out)]))
+                print(f"round {number}, {name}: {times[name][-1][0]:.1f} s", file=sys.stderr, flush=True)
     rows = [row(name, np.array(values), np.array(times[options.commit])) for name, values in times.items()]
     notes = (
         f"`baggie {' '.join(words)}`, in turns, {options.rounds} times each, on one thread. Processor time of all the "
@@ -63,19 +61,31 @@ def main(options: Options) -> None:
     write_and_show(f"against-{options.name}", f"A command beside commit {options.commit}", rows, notes)
 
 
+@contextmanager
+def earlier_commit(commit: str) -> Iterator[Path]:
+    """A folder with the files of another commit, for as long as it is needed."""
+    with tempfile.TemporaryDirectory() as folder:
+        earlier = Path(folder) / "earlier"
+        git("worktree", "add", "--detach", str(earlier), commit)
+        try:
+            yield earlier
+        finally:
+            git("worktree", "remove", "--force", str(earlier))
+
+
 def measured(source: Path, words: list[str]) -> tuple[float, float, float]:
-    """Processor seconds, seconds of the clock and peak megabytes of a command, as the code in a folder runs it."""
+    """Processor seconds, seconds of the clock and peak megabytes of `python` and these words, with a folder's code."""
     environment = os.environ | {"PYTHONPATH": str(source / "src"), "OMP_NUM_THREADS": "1"}
     began = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-m", "baggie", *words],
+        [sys.executable, *words],
         env=environment, cwd=HERE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
     said = process.stderr.read()
     _, status, used = os.wait4(process.pid, 0)
     if status != 0:
-        sys.exit(f"baggie {' '.join(words)} failed in {source}:\n{said}")
+        sys.exit(f"python {' '.join(words)} failed in {source}:\n{said}")
     return used.ru_utime + used.ru_stime, time.monotonic() - began, used.ru_maxrss / 1024
 
 

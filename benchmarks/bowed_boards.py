@@ -38,7 +38,7 @@ from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.types import Image, Intrinsics
 from baggie.vision.targets import Seen, parse_target
-from board_pictures import lens_error_px, random_pose, render_board
+from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 RESULTS = Path("docs/results")
 CHESSBOARD, CHARUCO = "chessboard:10x7:0.025", "charuco:11x8:0.025:0.018:DICT_4X4_50"

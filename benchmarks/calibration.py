@@ -30,9 +30,8 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.intrinsics.views import BoardView
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_robot import compose
 from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import fit_from_points
+from baggie.calibration.world.robot_to_world import compose, fit_from_points
 from baggie.commissioning.hand_eye import random_hand_pose, take_hand_eye_views
 from baggie.commissioning.image_to_robot import calibrate_image_to_robot_live, grid
 from baggie.commissioning.intrinsics import calibrate_intrinsics_live

@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.lerobot import IMAGE
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 REPEATS = 9
 

@@ -29,7 +29,7 @@ from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy, RegressionPo
 from baggie.policies.export import export_policy
 from baggie.policies.regression.policy import RegressionNet
 from commands import spread_ms, write_and_show
-from synthetic import RED, make_attempt, to_pixels
+from helpers.synthetic import RED, make_attempt, to_pixels
 
 ROUNDS = 25
 SIZE = (1280, 720)

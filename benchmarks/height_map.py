@@ -23,7 +23,7 @@ from baggie.geometry import Grid
 from baggie.types import Intrinsics
 from baggie.vision import height_map
 from baggie.vision.height_map import fuse
-from ray_caster import Box, look, pinhole, ravens_poses
+from helpers.ray_caster import Box, look, pinhole, ravens_poses
 
 ROUNDS = 25
 BENT = (0.08, -0.05, 0.0006, -0.0003, 0.005)

@@ -13,8 +13,7 @@ from baggie.errors import LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, wrap_angle
 from baggie.robot.primitives import pick, place
 from baggie.types import Image
-from baggie.vision import color_mask as hue
-from baggie.vision.color_mask import find_bag
+from baggie.vision.color_mask import FIRST_THRESHOLD, blobs, chroma_of, find_bag, hue_likeness, reference_of
 from baggie.workcell.simulated import SimulatedWorkcell
 
 STREAM = 0x5EC0
@@ -104,9 +103,9 @@ def seen_held(cell: SimulatedWorkcell, to_robot: ImageToRobot) -> list[float] | 
 
 def mask_of(image: Image, color: tuple[int, int, int]) -> FloatArray | None:
     """Pixels (u, v) of that colour `(N, 2)` in blobs of any shape: the hand may cut the bag in two."""
-    alike = hue.likeness(hue.chroma_of(image), hue.reference_of(color, "the object's")) > hue.FIRST_THRESHOLD
-    blobs = [blob for blob, _ in hue.blobs(alike, 300.0)]
-    if not blobs:
+    alike = hue_likeness(chroma_of(image), reference_of(color, "the object's")) > FIRST_THRESHOLD
+    found = [blob for blob, _ in blobs(alike, 300.0)]
+    if not found:
         return None
-    rows, columns = np.nonzero(np.any(blobs, axis=0))
+    rows, columns = np.nonzero(np.any(found, axis=0))
     return np.column_stack([columns, rows]).astype(float)

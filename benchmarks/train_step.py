@@ -25,7 +25,7 @@ from baggie.learning.keypoint import KeypointRecipe
 from baggie.learning.loop import Recipe, flushed_denormals, prefetched
 from baggie.learning.regression import RegressionRecipe
 from commands import spread_ms, write_and_show
-from synthetic import make_attempt
+from helpers.synthetic import make_attempt
 
 ROUNDS = 15
 ATTEMPTS = 20

@@ -30,8 +30,8 @@ from baggie.geometry import Grid
 from baggie.learning.loop import flushed_denormals
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.types import Observation
-from box_scenes import box_demonstrations
 from commands import spread_ms, write_and_show
+from helpers.box_scenes import box_demonstrations
 
 GRID = Grid()
 WARM_UP = 2

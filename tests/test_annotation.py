@@ -6,7 +6,7 @@ import pytest
 from baggie.data.summary import goal_of, is_demonstration
 from baggie.errors import DataError
 from baggie.vision.draw import paint_goal
-from synthetic import make_attempt
+from helpers.synthetic import make_attempt
 
 
 @pytest.fixture

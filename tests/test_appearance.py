@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baggie.learning.augmentation import object_mask, random_look, without_object
-from synthetic import make_attempt
+from helpers.synthetic import make_attempt
 
 ATTEMPT = make_attempt(3, np.random.default_rng(3), (320, 180), depth=False)
 PICTURE = ATTEMPT.before.color

@@ -15,7 +15,7 @@ from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled, filled
 from baggie.tasks.task import Slot, Stage, Task
 from baggie.types import PickPlace
-from ideal_arm import carried, poses_of
+from helpers.ideal_arm import carried, poses_of
 
 MARGIN_M = 0.05
 tasks = st.sampled_from([task for task in TASKS.all().values() if task.blocks])

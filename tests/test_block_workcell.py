@@ -12,6 +12,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.cameras.camera import Camera, HeightMapCamera, check_camera
 from baggie.errors import BaggieError, CameraError
 from baggie.geometry import Grid, PlanarPose
+from baggie.gymnasium_ids import id_of
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, EVALUATION, STYLE, generator
 from baggie.sim.blocks import Block
@@ -23,7 +24,7 @@ from baggie.types import Observation, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from baggie.workcell.simulated_cameras import SimulatedDepthCamera
-from carries import carries_in, check_reached
+from helpers.carries import carries_in, check_reached
 
 GRID = Grid()
 
@@ -209,7 +210,7 @@ def test_the_same_seed_gives_the_same_picture_and_no_two_pictures_are_alike(bowl
 
 def test_cameras_of_a_workcell_keep_their_contract(pyramid: SimulatedWorkcell) -> None:
     assert isinstance(pyramid.camera, Camera)
-    (front, *_), renderer = pyramid._eyes, pyramid._renderer
+    (front, *_), renderer = pyramid._view._eyes, pyramid._view._eyes[0].renderer
     assert isinstance(front, Camera)
     assert isinstance(renderer, DepthRenderer)
     # Colour and depth of one pass belong together, and noise is what it says.
@@ -226,7 +227,7 @@ def test_cameras_of_a_workcell_keep_their_contract(pyramid: SimulatedWorkcell) -
 
 def test_there_is_one_pose_for_each_camera(pyramid: SimulatedWorkcell) -> None:
     with pytest.raises(BaggieError, match="got 2 poses for 3 cameras"):
-        HeightMapCamera(pyramid._eyes, [np.eye(4)] * 2)
+        HeightMapCamera(pyramid._view._eyes, [np.eye(4)] * 2)
     with pytest.raises(BaggieError, match="one or more"):
         HeightMapCamera([], [])
 
@@ -234,7 +235,7 @@ def test_there_is_one_pose_for_each_camera(pyramid: SimulatedWorkcell) -> None:
 def test_what_plays_no_part_is_not_seen(bowls: SimulatedWorkcell) -> None:
     seed = next(s for s in range(20) if "red2" not in TASKS["place-red-in-green"].draw(rng_of(s)).poses)
     bowls.reset([seed])
-    renderer = bowls._renderer
+    renderer = bowls._view._eyes[0].renderer
     assert renderer is not None
     bowls.look()
     camera = RAVENS_DEPTH_CAMERAS[0]
@@ -323,9 +324,12 @@ def test_the_environment_is_gymnasiums() -> None:
 
 def test_every_task_has_its_environment() -> None:
     named = {
-        spec.kwargs["task"] for spec in gymnasium.registry.values() if "envs.blocks" in str(spec.entry_point)
+        spec.kwargs["task"]: spec.id
+        for spec in gymnasium.registry.values()
+        if spec.entry_point == "baggie.envs:open_environment"
     }
-    assert named == {name for name, task in TASKS.all().items() if not task.has_goal}
+    assert named == {name: id_of(name) for name in TASKS.names()}
+    assert named["bag-place"] == "baggie/BagPlace-v0"
 
 
 def test_a_camera_can_be_anybodys() -> None:

@@ -23,7 +23,7 @@ from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
 from baggie.vision.color_mask import find_bag
-from fake_workcell import FakeCell
+from helpers.fake_workcell import FakeCell
 
 CAMERA = CameraIdentity("top", 1280, 720)
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)

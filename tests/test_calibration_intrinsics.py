@@ -34,7 +34,7 @@ from baggie.geometry import rigid, transform_points
 from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
 from baggie.vision.targets import Seen, parse_target
-from board_pictures import lens_error_px, random_pose, render_board
+from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 BOARD = parse_target("charuco:7x5:0.030:0.021:DICT_4X4_50")
 SIZE = (1280, 720)

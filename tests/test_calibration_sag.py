@@ -31,7 +31,7 @@ from baggie.options.calibrating import CameraToWorldOptions, IntrinsicsOptions, 
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import Seen, parse_target, with_sag
-from board_pictures import lens_error_px, random_pose, render_board
+from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 BOARD = parse_target("chessboard:10x7:0.025")
 CHARUCO = parse_target("charuco:11x8:0.025:0.018:DICT_4X4_50")

@@ -12,9 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_robot import CameraToRobot, compare, compose
 from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import RobotToWorld, fit_from_axes, fit_from_points
+from baggie.calibration.world.robot_to_world import (
+    CameraToRobot,
+    RobotToWorld,
+    compare,
+    compose,
+    fit_from_axes,
+    fit_from_points,
+)
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, difference, invert_transform, rigid, transform_points
 from baggie.sim.cell import draw_cell

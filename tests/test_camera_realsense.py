@@ -14,7 +14,17 @@ from baggie.cameras.camera import CameraSettings, check_camera
 from baggie.cameras.opening import OpenCamera, open_camera
 from baggie.errors import CameraError
 from baggie.types import Intrinsics
-from realsense_recording import BASELINE_M, DISTORTION, FOCAL_PX, SERIAL, SIZE, WALL_M, lens, record, rs
+from helpers.realsense_recording import (
+    BASELINE_M,
+    DISTORTION,
+    FOCAL_PX,
+    SERIAL,
+    SIZE,
+    WALL_M,
+    lens,
+    record,
+    rs,
+)
 
 
 @pytest.fixture(scope="module")

@@ -33,9 +33,9 @@ from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.types import Goal
 from baggie.workcell.config import open_workcell
 from baggie.workcell.workcell_file import read_workcell_file
-from fake_workcell import FakeCell
-from streaming import Here
-from synthetic import TASK, box_corners, image_to_robot, make_attempt
+from helpers.fake_workcell import FakeCell
+from helpers.streaming import Here
+from helpers.synthetic import TASK, box_corners, image_to_robot, make_attempt
 
 SHAPES = {(640, 480): (640, 480), (848, 480): (640, 362), (720, 450): (640, 400), (480, 640): (480, 640)}
 """Sizes of cameras' pictures, and those they are recorded at."""

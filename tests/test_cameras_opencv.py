@@ -21,8 +21,8 @@ from baggie.errors import CameraError
 from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
 from baggie.vision.targets import parse_target
-from board_pictures import random_pose, render_board
-from mjpeg_server import SIZE, MjpegServer, number_in
+from helpers.board_pictures import random_pose, render_board
+from helpers.mjpeg_server import SIZE, MjpegServer, number_in
 
 LENS = Intrinsics(
     640, 480, np.array([[520.0, 0, 322], [0, 521, 238], [0, 0, 1]]), np.array([0.05, 0, 0, 0, 0])

@@ -21,7 +21,7 @@ from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.types import Observation, PickPlace
 from baggie.vision.carried import Carried, Things, middle_of, place_belongs_to, place_of, with_turn
-from box_scenes import box_attempts
+from helpers.box_scenes import box_attempts
 
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
 """128 x 128 pixels."""

@@ -38,7 +38,7 @@ from baggie.seeds import STYLE, generator
 from baggie.tasks.demonstrator import varied_action
 from baggie.tasks.scoring import RavensScore
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
-from ideal_arm import away, carried, poses_of
+from helpers.ideal_arm import away, carried, poses_of
 
 GRID = Grid(x=(0.25, 0.75), y=(-0.25, 0.25), pixel_m=0.003125)
 NOWHERE = np.full((4, 2), np.nan)

@@ -86,9 +86,18 @@ def test_what_only_talks_imports_nothing_that_takes_long(words: str) -> None:
     assert done.stderr.splitlines()[-1] == ""
 
 
-@pytest.mark.parametrize("module", ["collecting", "training", "evaluating", "calibrating", "workcells"])
-def test_options_import_nothing_that_takes_long(module: str) -> None:
-    program = f"import sys, baggie.options.{module}; print(*(set(sys.modules) & {HEAVY}))"
+@pytest.mark.parametrize(
+    "module",
+    [
+        "",
+        *(
+            f".options.{room}"
+            for room in ("collecting", "training", "evaluating", "calibrating", "workcells")
+        ),
+    ],
+)
+def test_baggie_itself_and_options_import_nothing_that_takes_long(module: str) -> None:
+    program = f"import sys, baggie{module}; print(*(set(sys.modules) & {HEAVY}))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "\n"
 
@@ -159,8 +168,8 @@ def test_another_package_s_policy_is_trained_by_its_own_options(
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[baggie.trainings]\nguess = elsewhere:Guessing\n")
     (tmp_path / "elsewhere.py").write_text(
-        "from dataclasses import dataclass\nfrom baggie.options.training import TrainOptions\n\n"
-        "@dataclass(frozen=True)\nclass Guessing(TrainOptions):\n"
+        "from dataclasses import dataclass\nfrom baggie.options.training import KeypointTraining\n\n"
+        "@dataclass(frozen=True)\nclass Guessing(KeypointTraining):\n"
         '    recipe = "elsewhere:recipe"\n    luck: int = 1\n    """How lucky."""\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
@@ -171,6 +180,8 @@ def test_another_package_s_policy_is_trained_by_its_own_options(
     assert "--luck INT How lucky." in help_of(["train", "--policy", "guess"], capsys)
     assert main(["train", "--data", "x", "--out", "x", "--luck", "2"]) == 2
     assert "it is an option of guess" in capsys.readouterr().err
+    assert run(["--tyro-print-completion", "bash"]) == 0
+    assert "--luck" in capsys.readouterr().out
 
 
 def test_a_shell_completes_every_command_and_option(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from baggie.evaluation.choices_of_scene import choices_of_scene
 from baggie.geometry import Grid
 from baggie.registry import TASKS
 from baggie.types import PickPlace
-from streaming import Here
+from helpers.streaming import Here
 
 GRID = Grid()
 COUNT = 2

@@ -36,8 +36,8 @@ from baggie.geometry import PlanarPose, Rectangle
 from baggie.operator import Nobody
 from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
-from fake_workcell import FakeCell
-from scripted import Scripted
+from helpers.fake_workcell import FakeCell
+from helpers.scripted import Scripted
 
 SIZE = (640, 360)
 RECORDING = Recording("put the bean bag on the goal", 0, 0, (320, 180))

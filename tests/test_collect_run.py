@@ -32,9 +32,9 @@ from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
 from baggie.operator import Line, Nobody, TerminalOperator
 from baggie.options.collecting import CollectOptions
-from fake_workcell import open_fake, open_faulty, open_unhelped
-from scripted import Scripted
-from streaming import Here
+from helpers.fake_workcell import open_fake, open_faulty, open_unhelped
+from helpers.scripted import Scripted
+from helpers.streaming import Here
 
 
 def assert_same(a: Path, b: Path) -> None:
@@ -123,7 +123,7 @@ def test_another_bag_or_table_of_a_workcell_file_is_not_mixed_in(tmp_path):
 def test_a_recording_says_which_arm_moved(reference, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path[:])
     assert open_dataset(reference).settings.robot_type == "fake"
-    shutil.copy(Path(__file__).parents[1] / "examples" / "own_arm.py", tmp_path / "recorded_arm.py")
+    shutil.copy(Path(__file__).parents[1] / "examples" / "04_own_arm.py", tmp_path / "recorded_arm.py")
     file = tmp_path / "cell.yaml"
     file.write_text("arm: {kind: python, factory: 'recorded_arm:open_arm'}\ncamera: 0\n")
     _, robot, _ = what_opens(CollectOptions(out=tmp_path / "data", workcell=file))
@@ -208,7 +208,7 @@ import sys
 from pathlib import Path
 from baggie.collect.cell import what_opens
 from baggie.collect import CollectOptions, collect
-from fake_workcell import open_slowly
+from helpers.fake_workcell import open_slowly
 if __name__ == "__main__":
     collect(CollectOptions(out=Path(sys.argv[1]), attempts=14, seed=3, workers=2), open_slowly)
 """

@@ -10,9 +10,9 @@ from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.base import Policy
 from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.policies.contract import check_policy
 from baggie.types import Goal, Observation
-from fake_workcell import FakeCell
-from policy_contract import check_policy
+from helpers.fake_workcell import FakeCell
 
 SIZE = (640, 360)
 BAG_Z = 0.018

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from baggie.calibration.hand_eye.result import HandEye
+from baggie.calibration.hand_eye.solve import HandEye
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.camera_to_robot import CameraToRobot
 from baggie.calibration.world.camera_to_world import CameraToWorld
+from baggie.calibration.world.robot_to_world import CameraToRobot
 from baggie.cli.main import main
 from baggie.commissioning.assistant import Person
 from baggie.commissioning.check import check_live
@@ -38,10 +38,10 @@ from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.config import open_workcell
-from board_pictures import random_pose, render_board
-from fake_workcell import FakeArm, FakeCell
-from recording_arm import RecordingArm
-from scripted import Scripted
+from helpers.board_pictures import random_pose, render_board
+from helpers.fake_workcell import FakeArm, FakeCell
+from helpers.recording_arm import RecordingArm
+from helpers.scripted import Scripted
 
 CELL = 3
 

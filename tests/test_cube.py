@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import baggie
-import cube_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import CollectOptions, collect
@@ -19,7 +18,8 @@ from baggie.data import open_dataset
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import PickPlace
-from streaming import Here
+from helpers import cube_world
+from helpers.streaming import Here
 
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
 CUBE = "bag: {length_m: 0.065, width_m: 0.065, height_m: 0.065, hard: true}\n"
@@ -34,8 +34,8 @@ def file(tmp_path: Path) -> Path:
     ImageToRobot.fit(camera.project(robot), robot, identity, height_m=0.0).save(tmp_path / "map.yaml")
     path = tmp_path / "cell.yaml"
     path.write_text(
-        "arm: {kind: python, factory: 'cube_world:open_arm'}\n"
-        "camera: {kind: python, factory: 'cube_world:open_camera'}\n"
+        "arm: {kind: python, factory: 'helpers.cube_world:open_arm'}\n"
+        "camera: {kind: python, factory: 'helpers.cube_world:open_camera'}\n"
         f"calibrations: {{image_to_robot: map.yaml}}\n{CUBE}"
     )
     return path

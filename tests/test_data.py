@@ -22,7 +22,7 @@ from baggie.data.lerobot import DTYPES, IMAGE, NUMERIC_FEATURES
 from baggie.errors import DataError
 from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 SIZE = (64, 36)
 

@@ -21,7 +21,7 @@ from baggie.data.record import MAX_HEIGHT_M, decode_height, encode_height
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import Grid
 from baggie.types import Attempt, Observation
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 from test_data import expect_same
 
 SIZE = (64, 36)

@@ -26,7 +26,7 @@ import pytest
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import DataError
 from baggie.types import Attempt
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 SIZE = (64, 36)
 

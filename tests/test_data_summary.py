@@ -16,7 +16,7 @@ from baggie.data import DatasetWriter, contact_sheet, inspect_dataset, open_data
 from baggie.errors import DataError
 from baggie.geometry import Grid
 from baggie.types import Image, Observation
-from synthetic import TASK, WORKSPACE, make_attempt
+from helpers.synthetic import TASK, WORKSPACE, make_attempt
 
 SIZE = (160, 90)
 FAILED = {1: "missed-grasp", 4: "lost-bag", 6: "missed-grasp"}

@@ -20,8 +20,8 @@ from baggie.cli import main as cli
 from baggie.cli.verbs import BAGGIE, Group
 from baggie.options.training import TRAININGS
 from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
-from docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
-from docs_stand_ins import GIVEN, taken_for_granted
+from helpers.docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
+from helpers.docs_stand_ins import GIVEN, taken_for_granted
 
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))
 BLOCKS = [block for page in PAGES for block in blocks(page)]

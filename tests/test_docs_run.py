@@ -21,8 +21,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from docs_pages import PAGES, ROOT, Block, blocks
-from docs_stand_ins import GIVEN, NIGHT, SHORT, Numbers, answers, stand_in, taken_for_granted
+from helpers.docs_pages import PAGES, ROOT, Block, blocks
+from helpers.docs_stand_ins import GIVEN, NIGHT, SHORT, Numbers, answers, stand_in, taken_for_granted
 
 pytestmark = pytest.mark.slow
 pytest.importorskip(
@@ -61,14 +61,14 @@ class Given:
 
 
 _MY_ARM = """\
+import importlib
 import sys
 
 sys.path.append("examples")
-import own_arm
 
 
 def open_arm(port=""):
-    return own_arm.open_arm()
+    return importlib.import_module("04_own_arm").open_arm()
 """
 PAGE: Mapping[str, Given] = {
     "docs/collecting.md": Given(after=("README.md",), cell=True),
@@ -97,7 +97,7 @@ from pathlib import Path
 from baggie.ravens.format import write_episode
 
 sys.path.append("tests")
-import ravens_scene
+from helpers import ravens_scene
 
 for number in range(3):
     write_episode(Path("stack-block-pyramid-train"), ravens_scene.episode(number, 9000 + 2 * number))

@@ -18,8 +18,8 @@ from baggie.sim.arm import SimulatedArm
 from baggie.sim.arm_world import ArmWorld
 from baggie.types import Observation
 from baggie.workcell.workcell import Workcell, WorkcellSettings
-from recording_arm import RecordingArm, TimelessCell
-from scripted import Scripted
+from helpers.recording_arm import RecordingArm, TimelessCell
+from helpers.scripted import Scripted
 
 
 class ObedientArm(RecordingArm):

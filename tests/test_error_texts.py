@@ -21,7 +21,7 @@ import pytest
 
 from baggie.cli.main import main
 from baggie.data import DatasetWriter
-from synthetic import make_attempt
+from helpers.synthetic import make_attempt
 
 KEPT = Path(__file__).with_name("error_texts.txt")
 WRITE = "WRITE_ERROR_TEXTS" in os.environ

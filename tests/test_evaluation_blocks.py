@@ -30,7 +30,7 @@ from baggie.policies import DemonstratorPolicy
 from baggie.registry import TASKS
 from baggie.report.report import report
 from baggie.types import Observation, Outcome, PickPlace, Plan
-from streaming import Here
+from helpers.streaming import Here
 from test_report import Page
 
 TASK = TASKS["block-pyramid"]

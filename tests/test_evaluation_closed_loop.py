@@ -27,8 +27,8 @@ from baggie.policies import ColorMaskPolicy
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Observation, Outcome
 from baggie.workcell.workcell import WorkcellSettings
-from streaming import Here
-from synthetic import RED, WORKSPACE, box_corners, to_pixels
+from helpers.streaming import Here
+from helpers.synthetic import RED, WORKSPACE, box_corners, to_pixels
 
 SIZE = (320, 180)
 

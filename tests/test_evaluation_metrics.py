@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baggie.geometry import PlanarPose
-from baggie.metrics import Z_95, position_error_cm, success_rate, summary, within_stated, yaw_error_deg
+from baggie.metrics import position_error_cm, success_rate, summary, within_stated, yaw_error_deg
 
 counts = st.integers(1, 5000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
 numbers = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50)
@@ -26,7 +26,7 @@ def test_interval_bounds_solve_the_score_equation(count):
     successes, n = count
     rate = success_rate(successes, n)
     for p in (rate["low"], rate["high"]):
-        assert (successes / n - p) ** 2 == pytest.approx(Z_95**2 * p * (1 - p) / n, rel=1e-6, abs=1e-9)
+        assert (successes / n - p) ** 2 == pytest.approx(1.959964**2 * p * (1 - p) / n, rel=1e-6, abs=1e-9)
 
 
 @given(counts, st.integers(2, 10))

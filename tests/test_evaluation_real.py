@@ -28,7 +28,7 @@ from baggie.policies.keypoint.plan import View
 from baggie.report.report import report
 from baggie.types import Outcome
 from baggie.workcell.workcell import Calibrations, WorkcellSettings
-from fake_workcell import FakeCell
+from helpers.fake_workcell import FakeCell
 from test_evaluation_closed_loop import evaluate_here
 
 FILE = Path("cell.yaml")

@@ -25,7 +25,7 @@ from baggie.tasks import demonstrator as varied
 from baggie.tasks.demonstrator import next_action, varied_action
 from baggie.tasks.scoring import RavensScore
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
-from ideal_arm import carried, poses_of
+from helpers.ideal_arm import carried, poses_of
 
 GRID = Grid(x=(0.25, 0.75), y=(-0.5, 0.5), pixel_m=0.01)
 STEPS, EPISODES, UNFINISHED = 6, 3, 1

@@ -18,7 +18,7 @@ from baggie.learning import KeypointTraining, train
 from baggie.metrics import success_rate
 from baggie.options.evaluating import ValidateOptions
 from baggie.types import PickPlace, Plan
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 SIZE = (320, 180)
 FAILED = (3, 7)

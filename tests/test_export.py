@@ -19,8 +19,8 @@ from baggie.cli.main import main
 from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError, install_extra
 from baggie.geometry import Grid
-from baggie.pictures import read_picture, write_picture
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
+from baggie.policies.contract import check_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
 from baggie.policies.keypoint.network import KeypointNet
 from baggie.policies.keypoint.plan import GoalInput, Reading, View
@@ -28,8 +28,7 @@ from baggie.policies.regression.policy import RegressionNet
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
-from policy_contract import check_policy
-from synthetic import make_attempt
+from helpers.synthetic import make_attempt
 
 SIZE = (640, 360)
 VIEW = View(SIZE, 127, 78, 470, 281, (160, 96))
@@ -295,27 +294,3 @@ def test_a_kind_that_cannot_be_exported_says_what_to_do_and_writes_nothing(tmp_p
     )
     assert captured.err.count("\n") == 1
     assert not out.exists()
-
-
-def example(*arguments, cwd):
-    command = [sys.executable, str(ROOT / "examples" / "plan.py"), *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-
-
-def test_the_example_plans_with_an_exported_policy(tmp_path, attempt, exported):
-    write_picture(tmp_path / "photo.png", attempt.before.color)
-    u, v = goal_of(attempt).center
-    arguments = ["--policy", exported["keypoint"], "--picture", "photo.png", "--goal", u, v, "--out", "p.png"]
-    done = example(*arguments, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "pick=PlanarPose" in done.stdout
-    plan = read_picture(tmp_path / "p.png")
-    assert plan.shape == attempt.before.color.shape
-    assert (plan != attempt.before.color).any()
-
-
-def test_the_example_says_how_to_get_a_run(tmp_path):
-    done = example(cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: no run in demo/keypoint: `make demo` makes one")
-    assert done.stderr.count("\n") == 1

@@ -13,7 +13,7 @@ import pytest
 from baggie.cameras.camera import CameraSettings
 from baggie.cameras.opening import open_camera
 from baggie.errors import CameraError, install_extra, pip_install
-from docs_pages import PAGES, ROOT
+from helpers.docs_pages import PAGES, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = {name: wanted for name, wanted in PROJECT["optional-dependencies"].items() if name != "dev"}

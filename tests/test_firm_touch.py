@@ -17,8 +17,8 @@ from baggie.geometry import PlanarPose, ToolPose, wrap_angle
 from baggie.robot.contract import PRESS_M, FeelingError, check_arm, check_tool_x, touch_firm
 from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
-from fake_workcell import FakeArm, FakeCell
-from recording_arm import RecordingArm
+from helpers.fake_workcell import FakeArm, FakeCell
+from helpers.recording_arm import RecordingArm
 
 LIMITS = WorkcellSettings().limits
 MIDDLE = PlanarPose(0.49, 0.0, 0.3)

@@ -26,7 +26,7 @@ from baggie.robot.franka.models import HOME, MODELS, ModelName
 from baggie.robot.limits import GuardedArm
 from baggie.types import PickPlace
 from baggie.workcell.workcell import Workcell, WorkcellSettings
-from fci_server import BOX_TOP_M
+from helpers.fci_server import BOX_TOP_M
 
 franky = pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 HIGH = ToolPose(0.49, 0.0, 0.20)  # above the box
@@ -42,7 +42,7 @@ class Server:
     def start(self, *addresses: str) -> None:
         """Listen at the first address that is free."""
         self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("fci_server.py")), *addresses],
+            [sys.executable, str(Path(__file__).parent / "helpers" / "fci_server.py"), *addresses],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -14,7 +14,7 @@ from baggie.options.choices import CARD_COLOR
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
 from baggie.vision.goal_card import find_card, measure_color
-from synthetic import intrinsics, to_pixels
+from helpers.synthetic import intrinsics, to_pixels
 
 WOOD, RED, GREEN_BAG = (150, 112, 78), (190, 40, 35), (60, 150, 40)
 SIZE = (640, 360)

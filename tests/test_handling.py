@@ -34,12 +34,12 @@ from baggie.types import PickPlace
 from baggie.workcell import config
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
-from recording_arm import RecordingArm, TimelessCell
+from helpers.recording_arm import RecordingArm, TimelessCell
 
 LIMITS = WorkcellSettings().limits
 HAND = ArmInfo("hand", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0)
 CUBE = Thing((0.065, 0.065, 0.065), hard=True)
-EXAMPLE = Path(__file__).parents[1] / "examples" / "own_arm.py"
+EXAMPLE = Path(__file__).parents[1] / "examples" / "04_own_arm.py"
 
 sides = st.floats(0.012, 0.12)
 things = st.builds(
@@ -324,9 +324,7 @@ def test_what_a_simulated_bag_cannot_be_is_refused(tmp_path: Path, bag: str, lin
 
 def test_a_simulated_bag_may_say_its_own_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[WorkcellSettings] = []
-    monkeypatch.setattr(
-        config, "SimulatedWorkcell", lambda _cell, settings, _bag, **_: opened.append(settings)
-    )
+    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings))
     path = tmp_path / "cell.yaml"
     path.write_text("bag: {height_m: 0.03}\n")
     config._open(read_workcell_file(path), path)

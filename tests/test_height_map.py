@@ -15,7 +15,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, invert_transform, rigid, transform_points
 from baggie.types import Observation
 from baggie.vision.height_map import HeightMap, fuse, sees_past
-from ray_caster import Box, look, overhead_pose, pinhole, ravens_poses
+from helpers.ray_caster import Box, look, overhead_pose, pinhole, ravens_poses
 
 RAVENS = Grid()
 COARSE = Grid(pixel_m=0.00625)

@@ -45,7 +45,7 @@ from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
-from carries import carries_in, check_reached
+from helpers.carries import carries_in, check_reached
 
 pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []

@@ -13,7 +13,7 @@ from baggie.learning.labels import Labels
 from baggie.policies.keypoint.heads import PlanarMap
 from baggie.policies.keypoint.plan import View
 from baggie.types import PickPlace
-from synthetic import WORKSPACE, box_corners, make_attempt
+from helpers.synthetic import WORKSPACE, box_corners, make_attempt
 
 SIZE = (640, 360)
 VIEW = View(SIZE, 0, 0, *SIZE, (160, 88))

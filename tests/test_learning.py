@@ -35,12 +35,12 @@ from baggie.metrics import yaw_error_deg
 from baggie.operator import Nobody
 from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
+from baggie.policies.contract import check_policy
 from baggie.policies.keypoint import heads as planar_map
 from baggie.policies.regression.policy import ResNet18
 from baggie.types import Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
-from policy_contract import check_policy
-from synthetic import box_corners, make_attempt
+from helpers.synthetic import box_corners, make_attempt
 
 SIZE = (320, 180)
 ENOUGH = 80

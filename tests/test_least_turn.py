@@ -17,7 +17,7 @@ from baggie.geometry import PlanarPose, ToolPose, nearest_angle, wrap_angle
 from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M
 from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
-from recording_arm import RecordingArm, TimelessCell
+from helpers.recording_arm import RecordingArm, TimelessCell
 
 SETTINGS = WorkcellSettings()
 PICK, PLACE = PlanarPose(0.45, 0.12, 0.3), PlanarPose(0.55, -0.15)

@@ -21,7 +21,7 @@ from baggie.robot.lerobot.arm import LeRobotArm
 from baggie.robot.lerobot.link import open_robot
 from baggie.robot.limits import GuardedArm
 from baggie.workcell.workcell import WorkcellSettings
-from lerobot_robot import FR3, JOINTS, WIDEST_M, NumbersRobot, RobotsClock, settings
+from helpers.lerobot_robot import FR3, JOINTS, WIDEST_M, NumbersRobot, RobotsClock, settings
 
 LIMITS = WorkcellSettings().limits
 HIGH = ToolPose(0.5, 0.0, 0.2)

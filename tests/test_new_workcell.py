@@ -25,7 +25,7 @@ from baggie.workcell.workcell_file import (
     WorkcellFile,
     read_workcell_file,
 )
-from scripted import Scripted
+from helpers.scripted import Scripted
 
 
 def write(path: Path, *answers: str) -> WorkcellFile:
@@ -132,7 +132,7 @@ def test_an_arm_of_one_s_own_gets_its_options_and_opens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "path", sys.path[:])
-    example = Path(__file__).parents[1] / "examples" / "own_arm.py"
+    example = Path(__file__).parents[1] / "examples" / "04_own_arm.py"
     shutil.copy(example, tmp_path / "asked_arm.py")
     film = cv2.VideoWriter(str(tmp_path / "table.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
     film.write(np.zeros((48, 64, 3), np.uint8))

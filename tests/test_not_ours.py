@@ -15,7 +15,7 @@ from baggie.errors import BaggieWarning, DataError
 from baggie.pictures import read_pictures, write_picture
 from baggie.ravens.format import RavensFolder, write_episode
 from baggie.report.report import gather
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 from test_ravens import FIELDS, NAME, make_episode
 
 SIZE = (64, 36)

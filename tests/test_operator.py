@@ -33,7 +33,7 @@ from baggie.operator import (
     progress,
 )
 from baggie.pictures import read_picture
-from scripted import Scripted
+from helpers.scripted import Scripted
 
 
 class Screen(TerminalOperator):

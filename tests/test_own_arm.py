@@ -1,4 +1,4 @@
-"""The template of examples/own_arm.py, and how a workcell file opens an arm of one's own."""
+"""The template of examples/04_own_arm.py, and how a workcell file opens an arm of one's own."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from baggie.robot.primitives import Handling, least_turn, pick, place
 from baggie.types import PickPlace
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
-from lerobot_robot import FR3, NumbersRobot, settings
-from recording_arm import RecordingArm
+from helpers.lerobot_robot import FR3, NumbersRobot, settings
+from helpers.recording_arm import RecordingArm
 
 ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "examples" / "own_arm.py"
+EXAMPLE = ROOT / "examples" / "04_own_arm.py"
 LIMITS = WorkcellSettings().limits
 
 
@@ -193,7 +193,7 @@ def test_a_workcell_file_opens_a_camera_that_lies_beside_it(
 ) -> None:
     monkeypatch.setattr(sys, "path", sys.path[:])
     shutil.copy(EXAMPLE, folder / "beside_arm.py")
-    shutil.copy(ROOT / "examples" / "own_camera.py", folder / "beside_camera.py")
+    shutil.copy(ROOT / "examples" / "03_own_camera.py", folder / "beside_camera.py")
     path = folder / "cell.yaml"
     path.write_text(
         "arm: {kind: python, factory: 'beside_arm:open_arm'}\n"

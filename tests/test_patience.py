@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from baggie.collect.sitting import PAUSES_S, Patience
 from baggie.errors import ArmError, BaggieError, BumpedError, CameraError, DataError, ReachError, StuckError
 from baggie.operator import Line
-from scripted import Scripted
+from helpers.scripted import Scripted
 
 PAUSES = (1.0, 5.0, 15.0)
 

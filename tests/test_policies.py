@@ -21,11 +21,11 @@ from baggie.policies import (
     RegressionPolicy,
     load_policy,
 )
+from baggie.policies.contract import check_policy
 from baggie.policies.keypoint.network import KeypointNet
 from baggie.policies.keypoint.plan import View
 from baggie.policies.regression.policy import RegressionNet, Regressor, ResNet18, load_imagenet
-from policy_contract import check_policy
-from synthetic import RED, box_corners, make_attempt, to_pixels
+from helpers.synthetic import RED, box_corners, make_attempt, to_pixels
 
 SIZE = (640, 360)
 VIEW = View(SIZE, 180, 90, 450, 290, (160, 120))

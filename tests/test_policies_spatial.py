@@ -8,7 +8,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import fake_workcell
 from baggie.collect.calibrate import calibrate
 from baggie.collect.machine import detect
 from baggie.errors import DataError
@@ -27,7 +26,8 @@ from baggie.policies.keypoint.plan import CELLS_TO_INPUT, GoalInput, Reading, Vi
 from baggie.sim.variety import BAGS_M
 from baggie.types import Goal, Observation
 from baggie.workcell.workcell import WorkcellSettings
-from synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels
+from helpers import fake_workcell
+from helpers.synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels
 
 numbers = st.floats(-0.25, 0.25)
 

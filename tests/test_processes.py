@@ -10,8 +10,8 @@ import pytest
 from baggie.errors import BaggieError, NobodyError
 from baggie.operator import Caution, Nobody, Operator, choice, errand
 from baggie.processes import Executor, LocalProcesses
-from scripted import Scripted
-from streaming import Here
+from helpers.scripted import Scripted
+from helpers.streaming import Here
 
 executors = pytest.mark.parametrize(
     "executor", [LocalProcesses(), Here()], ids=lambda each: type(each).__name__

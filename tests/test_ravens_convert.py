@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import ravens_scene
 from baggie.cli.main import main
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
@@ -21,6 +20,7 @@ from baggie.ravens.convert import import_ravens, planar
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensFolder, RavensPose, write_episode
 from baggie.types import Attempt
+from helpers import ravens_scene
 from test_data import expect_same
 
 SMALL = {"x": (0.35, 0.65), "y": (-0.25, 0.4), "pixel_m": 0.005}

@@ -14,7 +14,7 @@ from baggie.geometry import apply_homography
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.learning.rearranged import Scene, rearranged
 from baggie.vision.carried import Things
-from box_scenes import GRID, box_demonstrations
+from helpers.box_scenes import GRID, box_demonstrations
 
 SHOWN = box_demonstrations(6, 0)
 seeds, numbers = st.integers(0, 10_000), st.integers(0, len(SHOWN.poses) - 1)

@@ -13,7 +13,7 @@ from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.geometry import Grid, PlanarPose
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
-from synthetic import BAG_HEIGHT_M, BAG_SIDE_M, box_corners, image_to_robot, to_pixels
+from helpers.synthetic import BAG_HEIGHT_M, BAG_SIDE_M, box_corners, image_to_robot, to_pixels
 
 SIZE = (640, 360)
 GRID = Grid(x=(0.3, 0.7), y=(-0.3, 0.3), pixel_m=0.003125)

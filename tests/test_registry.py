@@ -54,6 +54,8 @@ def test_an_unknown_name_is_one_line_with_the_known_ones() -> None:
         shapes()["oval"]
     assert "\n" not in str(error.value)
     assert "oval" not in shapes()
+    with pytest.raises(BaggieError, match="expected an oval among round, got 'egg'"):
+        Registry[type]("baggie.ovals", {"round": OWN["round"]}, "oval")["egg"]
     assert "round" in shapes()
 
 

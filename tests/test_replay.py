@@ -14,7 +14,7 @@ from baggie.types import PickPlace, Plan
 from baggie.workcell.config import open_workcell
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.workcell import Workcell
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 SIZE = (64, 36)
 COUNT = 3

@@ -22,7 +22,7 @@ from baggie.geometry import PlanarPose
 from baggie.options.evaluating import ReportOptions, ValidateOptions
 from baggie.report.report import report
 from baggie.results import provenance, write_json, write_results
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 from test_evaluation_closed_loop import evaluate_here
 from test_evaluation_validate import recording  # noqa: F401 -- a fixture
 

@@ -94,7 +94,7 @@ def test_everything_is_there_on_a_desk_and_on_a_telephone(tmp_path, runs):
     assert [page.pop("width") for page in seen] == [1400, 360]
     for page in seen:
         assert page["too_wide"] == page["cut_off"] == 0
-        assert page["rows"][0] == 1 + 4  # three policies and the published one
+        assert page["rows"][0] == 1 + 3  # the heading, and a row each
         assert page["rows"][-1] == 1 + 2  # the doubtful labels
         assert page["charts"] == 2 + 4 + 1
         assert len(page["pictures"]) > 10

@@ -19,7 +19,7 @@ from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.sim.bag import Bag
 from baggie.sim.cell import draw_cell
 from baggie.sim.scene import arm_spec, build_model
-from synthetic import RED, image_to_robot
+from helpers.synthetic import RED, image_to_robot
 from test_evaluation_validate import SIZE, record
 
 SOURCE = Path(baggie.__file__).parents[1]

@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
 
@@ -25,7 +26,7 @@ from baggie.sim.sensor import Exposure, Sensor
 from baggie.types import PickPlace
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from baggie.workcell.workcell import WorkcellSettings
-from carries import carries_in, check_reached
+from helpers.carries import carries_in, check_reached
 
 
 @pytest.fixture(scope="module")
@@ -385,3 +386,14 @@ def test_minimum_jerk_starts_and_ends_at_rest() -> None:
 @pytest.mark.filterwarnings("ignore")
 def test_the_environment_passes_gymnasiums_own_check() -> None:
     check_env(gymnasium.make("baggie/BagPlace-v0").unwrapped, skip_render_check=True)
+
+
+def test_pictures_have_the_same_colours_whether_depth_is_measured_or_not(cell: SimulatedWorkcell) -> None:
+    with closing(open_simulated(0, depth=False)) as without:
+        cell.reset((5, 3))
+        without.reset((5, 3))
+        for _ in range(2):
+            seen, plain = cell.look(), without.look()
+            np.testing.assert_array_equal(seen.color, plain.color)
+            assert seen.depth is not None
+            assert plain.depth is None

@@ -28,7 +28,7 @@ from baggie.sim.sensor import Exposure
 from baggie.vision.pattern import pattern
 from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_target
 from baggie.workcell.simulated import SimulatedWorkcell
-from recording_arm import RecordingArm
+from helpers.recording_arm import RecordingArm
 from test_workcell import SETTINGS
 
 CHESSBOARD = Chessboard(7, 4, 0.035)
@@ -156,7 +156,7 @@ def test_what_was_hidden_leaves_no_trace(cell: SimulatedWorkcell) -> None:
 
 def test_every_renderer_sees_what_is_printed_now(clear: SimulatedWorkcell) -> None:
     def sees(renderer: CameraRenderer, target: Target) -> bool:
-        picture = renderer.look(Exposure(), np.random.default_rng(0), depth=False).color
+        picture = renderer.look(Exposure(), np.random.default_rng(0)).color
         return target.detect(picture) is not None
 
     older = CameraRenderer(clear.world)

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baggie.calibration.files import VIEWS_FILE, read_calibration, read_views_file
-from baggie.calibration.intrinsics.factory import read_factory
-from baggie.errors import BaggieError, DataError
-from baggie.files import parse_yaml, read_json, read_yaml
+from baggie.calibration.intrinsics.camera_calibration import read_factory
+from baggie.errors import BaggieError, DataError, WriteError
+from baggie.files import parse_yaml, read_json, read_yaml, written_whole
 from baggie.policies.checkpoint import read_config
 from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.workcell.workcell_file import read_workcell_file
@@ -98,3 +98,20 @@ def test_views_with_a_key_twice_are_refused(tmp_path: Path) -> None:
         read_views_file(tmp_path)
     (tmp_path / VIEWS_FILE).write_text('{"views": []}', "utf-8-sig")
     assert read_views_file(tmp_path) == {"views": []}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_what_is_not_written_to_its_end_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "folder" / "film.mp4"
+
+    def write(text: str, then: BaseException | None = None) -> None:
+        with written_whole(path) as partial:
+            partial.write_text(text)
+            if then:
+                raise then
+
+    write("before")
+    with pytest.raises((KeyboardInterrupt, WriteError)):
+        write("half", error)
+    assert [each.name for each in path.parent.iterdir()] == ["film.mp4"]
+    assert path.read_text() == "before"

@@ -20,9 +20,9 @@ from baggie.learning.moved_maps import MovedMaps, Moves, random_move, rigid_move
 from baggie.learning.split import split_episodes
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import load_policy
+from baggie.policies.contract import check_policy
 from baggie.types import Goal, Observation
-from box_scenes import box_attempts, box_demonstrations, box_scene
-from policy_contract import check_policy
+from helpers.box_scenes import box_attempts, box_demonstrations, box_scene
 
 GRID = Grid(x=(0.25, 0.55), y=(-0.15, 0.15), pixel_m=0.003125)
 """96 x 96 pixels."""

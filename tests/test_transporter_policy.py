@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import Grid, PlanarPose
 from baggie.policies import TransporterPolicy, load_policy
+from baggie.policies.contract import check_policy
 from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.fast import CELL, DEEPEST, Trunk
@@ -20,7 +21,6 @@ from baggie.policies.transporter.policy import _over_map, turned, turned_back
 from baggie.policies.transporter.scores import PlaceAngle, Scores, soft_targets, turn_angles
 from baggie.policies.transporter.spatial import patches
 from baggie.types import Goal, Observation
-from policy_contract import check_policy
 
 GRID = Grid(x=(0.3, 0.39), y=(-0.06, 0.06), pixel_m=0.0025)
 """36 x 48 pixels: not multiples of 16."""

@@ -25,7 +25,7 @@ from baggie.tasks.demonstrator import (
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled
 from baggie.tasks.task import Task
-from ideal_arm import away, carried, poses_of
+from helpers.ideal_arm import away, carried, poses_of
 
 BLOCK_TASKS = [task for task in TASKS.all().values() if task.blocks]
 tasks = st.sampled_from(BLOCK_TASKS)

@@ -8,7 +8,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import wrap_angle
 from baggie.types import Image
 from baggie.vision.color_mask import find_bag
-from fake_workcell import FakeCell, draw_polygon
+from helpers.fake_workcell import FakeCell, draw_polygon
 
 RED = (190, 40, 35)
 WOOD = (150, 110, 75)

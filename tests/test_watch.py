@@ -17,8 +17,8 @@ from baggie.geometry import PlanarPose
 from baggie.types import Image
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import LANDINGS, Watch
-from fake_workcell import FakeCamera, FakeCell
-from streaming import Here
+from helpers.fake_workcell import FakeCamera, FakeCell
+from helpers.streaming import Here
 
 
 @pytest.fixture(scope="module")

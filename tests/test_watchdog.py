@@ -6,7 +6,7 @@ import pytest
 from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.robot.limits import GuardedArm, Watchdog
 from baggie.workcell.workcell import WorkcellSettings
-from recording_arm import RecordingArm
+from helpers.recording_arm import RecordingArm
 
 
 class Camera:

@@ -23,7 +23,7 @@ from baggie.workcell import config
 from baggie.workcell.config import RealWorkcell
 from baggie.workcell.workcell import WorkcellSettings
 from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
-from recording_arm import RecordingArm, TimelessCell
+from helpers.recording_arm import RecordingArm, TimelessCell
 
 SETTINGS = WorkcellSettings()
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -262,9 +262,7 @@ def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, force_n: float
 ) -> None:
     opened: list[WorkcellSettings] = []
-    monkeypatch.setattr(
-        config, "SimulatedWorkcell", lambda _cell, settings, _bag, **_: opened.append(settings)
-    )
+    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings))
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     config._open(read_workcell_file(path), path)

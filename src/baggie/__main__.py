@@ -5,7 +5,7 @@ import sys
 
 def main() -> int:
     """Run the command line; see `baggie.cli.main`."""
-    # Late, because every worker process imports this module again and needs neither PyTorch nor the other verbs.
+    # Late, because every worker process imports this module again and reads no command line.
     from baggie.cli.main import main as run  # noqa: PLC0415
 
     return run()

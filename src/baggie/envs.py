@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from baggie.collect.machine import random_place
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid, Rectangle
+from baggie.registry import TASKS
 from baggie.types import Goal, PickPlace
 from baggie.workcell.workcell import Workcell
 
@@ -43,25 +44,30 @@ GOAL_MARGIN_M = 0.02
 """Between a goal and the workspace's edge."""
 
 
-class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
-    """Move the bag onto the goal.
+def open_environment(task: str, **options: Any) -> GoalEnv | TaskEnv:
+    """The environment of a task, with the options of its class. Raises `BaggieError` where there is no such task."""
+    return (GoalEnv if TASKS[task].has_goal else TaskEnv)(task, **options)
+
+
+class GoalEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
+    """Move the bag onto the goal: a task whose goal is given in the camera's picture.
 
     Observation: `color` `(360, 640, 3)` uint8 RGB, the overhead picture with the arm out of the way; `goal` `(4, 2)`
     float32, corners of the goal's outline in it, pixels (u, v).
     Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame.
     Reward: minus the distance from bag to goal in metres. Terminated within 2 cm. An action the arm refuses (outside
     its limits or reach) moves nothing; `info["refused"]` says why. `info`: `distance_m`; `is_success`, whether that is
-    within 2 cm; `outcome` where it moved.
+    within 2 cm; `outcome` where it moved. Truncated after the task's `max_steps`.
     Options of `reset`: none. The same seed gives the same scene.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 -- Gymnasium's own convention
 
-    def __init__(self, cell: int = 0, render_mode: str | None = None) -> None:
+    def __init__(self, task: str, cell: int = 0, render_mode: str | None = None) -> None:
         from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
 
         self.render_mode = render_mode
-        self._workcell: SimulatedWorkcell = open_simulated(cell)
+        self._workcell: SimulatedWorkcell = open_simulated(cell, task)
         width, height = PICTURE_SIZE
         self.action_space = action_space(self._workcell.settings.workspace)
         self.observation_space = spaces.Dict(
@@ -77,6 +83,7 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         """A new scene and a goal at least 20 cm from the bag."""
         super().reset(seed=seed)
         self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
+        self._steps = 0
         bag = self._workcell.truth()
         self._goal = random_place(self._workcell.settings.workspace, bag, self.np_random, GOAL_MARGIN_M)
         return self._observe(), self._info()
@@ -86,7 +93,9 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         happened = execute(self._workcell, action)
         observation = self._observe()
         info = happened | self._info()
-        return observation, -info["distance_m"], info["is_success"], False, info
+        self._steps += 1
+        truncated = self._steps >= self._workcell.task.max_steps
+        return observation, -info["distance_m"], info["is_success"], truncated, info
 
     def render(self) -> Image | None:
         """The overhead picture with the goal painted in, `(360, 640, 3)`, in mode `rgb_array`."""
@@ -113,8 +122,8 @@ class BagPlaceEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         return {"distance_m": distance, "is_success": distance <= SUCCESS_RADIUS_M}
 
 
-class BlockEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
-    """A task with blocks, for a suction cup.
+class TaskEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
+    """A task that itself says where things go, seen from straight above.
 
     Observation: `color` `(320, 160, 3)` uint8 RGB and `height` `(320, 160)` float32 metres, the table from straight
     above (`baggie.geometry.Grid()` says which pixel shows which place).

@@ -10,7 +10,7 @@ import contextlib
 import json
 import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +32,28 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Raises `WriteError` when it cannot be written.
     """
+    with written_whole(path) as partial:
+        partial.write_bytes(content)
+
+
+@contextlib.contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a name to write a file under, which is renamed to `path` at the end and removed when writing it failed.
+
+    Raises `WriteError` when it cannot be written.
+    """
     partial = path.with_name(path.name + ".partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(content)
+        yield partial
         partial.replace(path)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise WriteError(
             f"{path} cannot be written: {error.strerror}; free some space or mend the rights"
         ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def write_if_possible(path: Path, write: Callable[[Path], object]) -> bool:

@@ -8,12 +8,7 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-_TASKS = {
-    "BlockPyramid": "block-pyramid",
-    "PlaceRedInGreen": "place-red-in-green",
-    "AlignBoxCorner": "align-box-corner",
-    "BlockInsertion": "block-insertion",
-}
+from baggie.registry import TASKS
 
 
 def register_environments() -> None:
@@ -25,9 +20,13 @@ def register_environments() -> None:
 
 
 def _register(gymnasium: ModuleType) -> None:
-    gymnasium.register("baggie/BagPlace-v0", entry_point="baggie.envs:BagPlaceEnv", max_episode_steps=3)
-    for name, task in _TASKS.items():
-        gymnasium.register(f"baggie/{name}-v0", entry_point="baggie.envs:BlockEnv", kwargs={"task": task})
+    for task in TASKS.names():
+        gymnasium.register(id_of(task), entry_point="baggie.envs:open_environment", kwargs={"task": task})
+
+
+def id_of(task: str) -> str:
+    """What Gymnasium calls a task: `baggie/BagPlace-v0` for `bag-place`."""
+    return f"baggie/{''.join(word.capitalize() for word in task.split('-'))}-v0"
 
 
 class _Gymnasium(MetaPathFinder):

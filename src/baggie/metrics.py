@@ -12,9 +12,6 @@ from numpy.typing import ArrayLike
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.types import Attempt, PickPlace
 
-Z_95 = 1.959963984540054
-"""The 97.5th percentile of the standard normal: two-sided 95%."""
-
 
 class Summary(TypedDict):
     """Five numbers for a list of measurements, in the unit of the key they stand under."""
@@ -58,24 +55,18 @@ def summary(values: ArrayLike) -> Summary:
 def success_rate(successes: int, n: int) -> Rate:
     """The rate of `successes` among `n` trials with its 95% score interval.
 
-    The interval holds every p whose score test does not reject the count seen: the roots of
-    (p̂ - p)² = z² p (1 - p) / n. Unlike p̂ ± z √(p̂ (1 - p̂) / n) it stays inside [0, 1], and never has no width.
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-    Journal of the American Statistical Association 22 (1927), 209-212.
+    Wilson's: it holds every p whose score test does not reject the count seen, so unlike p̂ ± z √(p̂ (1 - p̂) / n) it
+    stays inside [0, 1], and never has no width.
 
     >>> success_rate(0, 4)["low"], round(success_rate(0, 4)["high"], 3)
     (0.0, 0.49)
     """
     if n < 1 or not 0 <= successes <= n:
         raise ValueError(f"successes must be between 0 and n, and n at least 1; got {successes} of {n}")
-    rate = successes / n
-    z2_n = Z_95**2 / n
-    center = (rate + z2_n / 2) / (1 + z2_n)
-    half = Z_95 / (1 + z2_n) * math.sqrt(rate * (1 - rate) / n + z2_n / (4 * n))
-    # Rounding leaves bounds of 1e-17 and 1 - 1e-16 where the roots are exactly 0 and 1.
-    low = 0.0 if successes == 0 else center - half
-    high = 1.0 if successes == n else center + half
-    return {"rate": rate, "low": low, "high": high, "n": n}
+    from scipy.stats import binomtest  # noqa: PLC0415 -- half a second, for what mostly starts without
+
+    interval = binomtest(successes, n).proportion_ci(method="wilson")
+    return {"rate": successes / n, "low": float(interval.low), "high": float(interval.high), "n": n}
 
 
 def position_error_cm(a: PlanarPose, b: PlanarPose) -> float:

@@ -50,7 +50,10 @@ class Registry(Generic[T]):
         """
         self._import(name)
         if name not in self._found:
-            raise BaggieError(f"expected a {self._noun} among {', '.join(self.names())}, got {name!r}")
+            article = "an" if self._noun[0] in "aeiou" else "a"
+            raise BaggieError(
+                f"expected {article} {self._noun} among {', '.join(self.names())}, got {name!r}"
+            )
         return self._found[name]
 
     def all(self) -> dict[str, T]:

@@ -2,7 +2,7 @@
 
     PYTHONPATH=src .venv-lerobot/bin/python tests/lerobot/check_lerobot.py DIR
 
-Runs in a Python that has `lerobot[training,dataset-viz]==0.6.1` and SciPy; of baggie it needs only `baggie.data`.
+Runs in a Python that has `lerobot[training,dataset-viz]==0.6.1`, SciPy and tyro; of baggie it needs only `baggie.data`.
 Where DIR is a recording of five episodes or more, that is checked. Otherwise two small ones are drawn and written
 below it first: attempts of one step and of several, seen by a camera, and whole demonstrations of several steps,
 seen from straight above. Prints a line per check; exit status 1 if one failed.
@@ -44,7 +44,7 @@ from baggie.data.lerobot import IMAGE
 from baggie.errors import DataError
 from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Observation, Outcome, PickPlace
-from synthetic import TASK, make_attempt
+from helpers.synthetic import TASK, make_attempt
 
 SCALARS = {
     "cell": "cell",
@@ -54,6 +54,8 @@ SCALARS = {
     "pick_z_m": "pick_z_m",
 }
 
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "17_lerobot.py"
 
 Episodes = list[list[int]]
 """The ids of the attempts in each of LeRobot's episodes."""
@@ -317,6 +319,18 @@ class Checks:
         expect_data_error(copy)
         return "2 episodes more"
 
+    def example(self) -> str:
+        """examples/17_lerobot.py reads it"""
+        folder = self.scratch / "example"
+        (folder / "demo").mkdir(parents=True)
+        (folder / "demo" / "recording").symlink_to(self.root)
+        command = [sys.executable, str(EXAMPLE)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        episodes, batch, _ = done.stdout.splitlines()[-3:]  # before them LeRobot may say something
+        assert episodes == f"{len(self.episodes)} episodes, {len(self.ids)} frames"
+        return batch
+
     def leaves_it_alone(self) -> str:
         """None of LeRobot's tools changed the recording"""
         assert fingerprint(self.root) == self.fingerprint
@@ -359,7 +373,8 @@ def check(root: Path) -> int:
     checks = Checks(root)
     tests: list[Callable[[], str]] = [
         checks.loads_and_equals, checks.policy_features, checks.data_loader, checks.chunks, checks.trains,
-        checks.visualises, checks.deletes, checks.splits, checks.merges, checks.resumes, checks.leaves_it_alone,
+        checks.visualises, checks.deletes, checks.splits, checks.merges, checks.resumes, checks.example,
+        checks.leaves_it_alone,
     ]  # fmt: skip
     failed = 0
     for test in tests:

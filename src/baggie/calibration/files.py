@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import yaml
@@ -52,14 +53,66 @@ class CameraIdentity:
         return cls(str(content["name"]), int(content["width"]), int(content["height"]))
 
 
-def write_calibration(path: Path, kind: str, content: Mapping[str, Any]) -> None:
-    """Write YAML, whole or not at all; arrays become lists, floats keep every digit."""
-    plain = {"kind": kind, "made_on": date.today().isoformat(), **{k: _plain(v) for k, v in content.items()}}
-    write_text(path, yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=110))
+class Calibration(ABC):
+    """A calibration: what it came to, and its file."""
+
+    KIND: ClassVar[str]
+    """As `baggie calibrate KIND` has it."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """What a person or a script wants to know, ready for JSON."""
+
+    @abstractmethod
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file, the summary in it; arrays and numbers of NumPy's may be among it."""
+
+    @classmethod
+    @abstractmethod
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`. Raises for what is missing or wrong."""
+
+    def save(self, path: Path) -> None:
+        """Write readable YAML, whole or not at all; floats keep every digit, so `load` gives the same to the bit.
+
+        Raises `WriteError` when it cannot be written.
+        """
+        content = {"kind": self.KIND, "made_on": date.today().isoformat(), **_plain(self.to_yaml())}
+        write_text(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110))
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read what `save` wrote. Raises `DataError` for a file that is missing, damaged or of another kind."""
+        content = read_calibration(path, cls.KIND)
+        try:
+            return cls.from_yaml(content)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise DataError(
+                f"the {cls.KIND} calibration in {path} is damaged ({error!r}); calibrate again"
+            ) from None
+
+
+@dataclass(frozen=True)
+class CameraCalibrated(Calibration):
+    """A calibration that is of one camera, and good for no other."""
+
+    camera: CameraIdentity
+
+    @classmethod
+    def load(cls, path: Path, camera: CameraIdentity | None = None) -> Self:
+        """Read what `save` wrote; with `camera`, only a calibration of that one.
+
+        Raises `DataError` for a file that is missing, damaged or of another kind, `CalibrationError` for another camera
+        or resolution.
+        """
+        found = super().load(path)
+        if camera is not None:
+            found.camera.check(camera, f"the {cls.KIND} calibration in {path}")
+        return found
 
 
 def read_calibration(path: Path, kind: str) -> dict[str, Any]:
-    """What `write_calibration` wrote. Raises `DataError` where the file is missing or of another kind."""
+    """The content of a calibration's file. Raises `DataError` where it is missing or of another kind."""
     try:
         content = read_yaml(path)
     except OSError as error:
@@ -90,11 +143,6 @@ def read_views_file(folder: Path) -> dict[str, Any]:
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
         raise DataError(f'expected a list "views" of {{...}} in {path}, got something else; write it again')
     return dict(content)
-
-
-def broken(path: Path, kind: str, error: Exception) -> DataError:
-    """For a calibration of the right kind with an entry missing or wrong."""
-    return DataError(f"the {kind} calibration in {path} is damaged ({error!r}); calibrate again")
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,7 @@
 """The pose of a camera from points of known position in one picture, robustly and with its uncertainty.
 
+Of a flat target two poses explain what is seen: which is the true one, by the corners, or by depth.
+
 Rigid transforms that know how sure they are.
 
 A true transform is `R = exp(w) R0`, `t = t0 + d` with a small error (w, d), radians and metres, in the frame the
@@ -9,19 +11,18 @@ order (Barfoot & Furgale, "Associating Uncertainty With Three-Dimensional Poses"
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from baggie.errors import CalibrationError
-from baggie.geometry import FloatArray, invert_transform, is_rigid, rigid
+from baggie.geometry import FloatArray, invert_transform, is_rigid, rigid, transform_points
 from baggie.types import Intrinsics
 
 _ROUNDING = 1e-9
@@ -63,6 +64,10 @@ class UncertainTransform:
         """The same of the rotation."""
         return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
 
+    def summary(self) -> dict[str, float]:
+        """How sure it is, ready for JSON."""
+        return {"std_mm": self.std_mm, "std_deg": self.std_deg}
+
     def error_of(self, truth: ArrayLike) -> FloatArray:
         """`(6,)`: the error (w, d) that would make this transform the true one."""
         truth = np.asarray(truth, float)
@@ -74,7 +79,15 @@ class UncertainTransform:
         error = self.error_of(truth)
         # Where there is no uncertainty at all, there may be no error but what rounding leaves.
         distance = error @ np.linalg.inv(self.covariance + _ROUNDING**2 * np.eye(6)) @ error
-        return bool(distance <= chi2.ppf(probability, 6))
+        return bool(distance <= squared_radius(probability))
+
+
+def squared_radius(probability: float) -> float:
+    """Of the region, in standard deviations, that holds an error's six numbers with this probability.
+
+    The quantile of a chi-square distribution; from scipy.special, as scipy.stats takes half a second to import.
+    """
+    return float(2 * gammaincinv(6 / 2, probability))
 
 
 def _cross(v: FloatArray) -> FloatArray:
@@ -82,12 +95,16 @@ def _cross(v: FloatArray) -> FloatArray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
-NOISE_PX, NOISE_COUNTS = 0.15, 4
+_NOISE_PX, _NOISE_COUNTS = 0.15, 4
 """How far off points usually are, per axis, and for how many residuals that knowledge counts: of a lone marker, with
 eight numbers seen and six fitted, the residuals say next to nothing."""
 
 _GROSS_PX = 8.0
 """Further off than this, a point was confused with something else."""
+_MAX_COUNTS = 20
+"""Corners of one print are off together; more than this many residuals are not counted as independent."""
+_DEPTH_TELLS = 1.3
+_MIN_DEPTHS = 20
 _STDS = 4.0
 _FLOOR_PX = 0.5
 """A point is kept up to four standard deviations, or half a pixel: noise-free points differ by rounding alone."""
@@ -170,6 +187,69 @@ def both_planar_poses(
     return sorted(found, key=lambda candidate: candidate[1])
 
 
+def odds(better_px: float, worse_px: float, corners: int) -> float:
+    """How many times likelier the pose with the smaller RMS error is, given the errors of both.
+
+    The ratio of the two likelihoods with the noise integrated out, its prior an inverse gamma distribution around what
+    corners usually are off: with 8 numbers seen and 6 fitted, a marker's own residuals say next to nothing about noise.
+    """
+    prior = _NOISE_COUNTS * _NOISE_PX**2
+    better, worse = (corners * error**2 + prior for error in (better_px, worse_px))
+    counts = min(2 * corners - 6 + _NOISE_COUNTS, _MAX_COUNTS)
+    return float(min((worse / better) ** (counts / 2), 1e12))
+
+
+@dataclass(frozen=True)
+class MeasuredDepth:
+    """Depth over a flat target, measured."""
+
+    points: FloatArray
+    """`(M, 3)` metres, target frame, spread over it."""
+    depth_m: FloatArray
+    """`(M,)` along the optical axis."""
+
+    @classmethod
+    def over(
+        cls,
+        corners: FloatArray,
+        T_camera_target: FloatArray,
+        intrinsics: Intrinsics,
+        images: Sequence[NDArray[np.float32]],
+    ) -> MeasuredDepth | None:
+        """Between a target's corners `(N, 3)`: the median of the images `(H, W)`; None where too little is known."""
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        x, y = np.meshgrid(np.linspace(low[0], high[0], 20), np.linspace(low[1], high[1], 20))
+        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        u, v = np.rint(intrinsics.project(transform_points(T_camera_target, points))).astype(int).T
+        inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+        samples = np.array([image[v[inside], u[inside]] for image in images], float)
+        known = np.isfinite(samples) & (samples > 0)
+        enough = 2 * known.sum(axis=0) >= len(images)
+        if enough.sum() < _MIN_DEPTHS:
+            return None
+        depth = np.nanmedian(np.where(known, samples, np.nan)[:, enough], axis=0)
+        return cls(points[inside][enough], depth)
+
+    def ratio(self, T_camera_target: FloatArray) -> float:
+        """Measured over what the pose says, the median."""
+        return float(np.median(self.depth_m / self._expected(T_camera_target)))
+
+    def choose(self, pose: FloatArray, other: FloatArray) -> FloatArray | None:
+        """The one of two poses `T_camera_target` that depth supports; None where it cannot tell either."""
+        first, second = self._misfit(pose), self._misfit(other)
+        if max(first, second) < _DEPTH_TELLS * min(first, second):
+            return None
+        return pose if first < second else other
+
+    def _expected(self, pose: FloatArray) -> FloatArray:
+        return transform_points(pose, self.points)[:, 2]
+
+    def _misfit(self, pose: FloatArray) -> float:
+        """Relative, once a wrong scale is taken out: slant is what tells the two apart."""
+        relative = self.depth_m / self._expected(pose)
+        return float(np.median(np.abs(relative / np.median(relative) - 1)))
+
+
 def residuals_px(
     pose: FloatArray, points: FloatArray, pixels: FloatArray, intrinsics: Intrinsics
 ) -> FloatArray:
@@ -200,6 +280,8 @@ def _ransac(points: FloatArray, pixels: FloatArray, intrinsics: Intrinsics) -> F
 
 
 def _refine(pose: FloatArray, points: FloatArray, pixels: FloatArray, intrinsics: Intrinsics) -> FloatArray:
+    from scipy.optimize import least_squares  # noqa: PLC0415 -- who only reads a pose does not wait for it
+
     def moved(error: FloatArray) -> FloatArray:
         turned = Rotation.from_rotvec(error[:3]).as_matrix() @ pose[:3, :3]
         return rigid(turned, pose[:3, 3] + error[3:])
@@ -224,8 +306,8 @@ def _covariance(
     _, jacobian = cv2.projectPoints(in_camera, still, pose[:3, 3], intrinsics.matrix, intrinsics.distortion)
     by_pose = jacobian[:, :6]
     # The noise is itself known from few residuals only: the mean of an inverse gamma distribution.
-    counts = residuals.size - 6 + NOISE_COUNTS
-    variance = (float((residuals**2).sum()) + NOISE_COUNTS * NOISE_PX**2) / (counts - 2)
+    counts = residuals.size - 6 + _NOISE_COUNTS
+    variance = (float((residuals**2).sum()) + _NOISE_COUNTS * _NOISE_PX**2) / (counts - 2)
     inverse = np.linalg.pinv(by_pose.T @ by_pose)
     covariance = variance * inverse
     if intrinsics_covariance is not None:
@@ -236,7 +318,7 @@ def _covariance(
 
 def uncertainty_to_yaml(pose: UncertainTransform) -> dict[str, Any]:
     """What stands beside `T_a_b`; the covariance is of rotation (radians) and translation (metres), in frame a."""
-    return {"std_mm": pose.std_mm, "std_deg": pose.std_deg, "covariance": pose.covariance}
+    return {**pose.summary(), "covariance": pose.covariance}
 
 
 def pose_from_yaml(content: Mapping[str, Any], name: str) -> UncertainTransform:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyorbbecsdk as ob
 
-from baggie.calibration.intrinsics.factory import opencv_intrinsics
+from baggie.calibration.intrinsics.camera_calibration import opencv_intrinsics
 from baggie.cameras.camera import CameraSettings
 from baggie.errors import CameraError
 from baggie.types import Intrinsics, Observation

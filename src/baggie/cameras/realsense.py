@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyrealsense2 as rs
 
-from baggie.calibration.intrinsics.factory import opencv_intrinsics
+from baggie.calibration.intrinsics.camera_calibration import opencv_intrinsics
 from baggie.cameras.camera import CameraSettings
 from baggie.cameras.live import fit_distortion
 from baggie.errors import CameraError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import textwrap
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from functools import reduce
 from operator import or_
@@ -37,7 +37,7 @@ class Asked:
 def read(words: Sequence[str]) -> Asked | str:
     """What is asked; or an overview, where that is. Raises `UsageError`, or `SystemExit` as tyro does."""
     if words and words[0].startswith(_COMPLETION):
-        tyro.cli(_whole("baggie", BAGGIE), prog="baggie", args=words, config=_CONFIG)
+        tyro.cli(_whole(BAGGIE), prog="baggie", args=words, config=_CONFIG)
     name = "baggie"
     told: Verb | Group = BAGGIE
     while isinstance(told, Group):
@@ -82,13 +82,12 @@ def _options(verb: Verb, words: Sequence[str]) -> type:
     asked.add_argument(f"--{verb.choice}", nargs="?", dest="name")
     name = asked.parse_known_args(list(words))[0].name or registry.names()[0]
     if name not in registry:
-        known = ", ".join(registry.names())
-        raise UsageError(f"expected a {verb.choice} among {known}, got {name!r}")
+        raise UsageError(f"expected a {verb.choice} among {', '.join(registry.names())}, got {name!r}")
     kind = registry[name]
-    for flag in (word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")):
-        if flag not in _flags(kind) and (
-            others := [x for x, it in registry.all().items() if flag in _flags(it)]
-        ):
+    known = {"--help", "--json", f"--{verb.choice}", *_flags(kind)}
+    flags = (word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--"))
+    for flag in (each for each in flags if each not in known):
+        if others := [other for other, options in registry.all().items() if flag in _flags(options)]:
             raise UsageError(
                 f"expected no {flag} with --{verb.choice} {name}: it is an option of {', '.join(others)}; leave it "
                 f"out, or take --{verb.choice} {others[0]}"
@@ -114,15 +113,15 @@ def _words(verb: Verb, options: type) -> type:
     return make_dataclass("Words", parts, namespace={"__doc__": text}, kw_only=True)
 
 
-def _whole(name: str, told: Verb | Group) -> type:
+def _whole(told: Verb | Group) -> type:
     """A class of all that may be said about a verb or a group, at once; where there is a choice, about all of it."""
     if isinstance(told, Verb):
-        if told.choice is None:
-            return _words(told, named(told.options))
-        every = type("Every", tuple(named(told.options).all().values()), {})
-        return _words(told, dataclass(frozen=True)(every))
-    verbs = [
-        Annotated[_whole(f"{name} {each}", verb), tyro.conf.subcommand(name=each)]
-        for each, verb in told.verbs.items()
-    ]
+        return _words(told, _any(named(told.options).all()) if told.choice else named(told.options))
+    verbs = [Annotated[_whole(verb), tyro.conf.subcommand(name=name)] for name, verb in told.verbs.items()]
     return make_dataclass("Words", [("verb", reduce(or_, verbs))], namespace={"__doc__": told.summary})
+
+
+def _any(kinds: Mapping[str, type]) -> type:
+    """A class with the options of all these."""
+    last = [kind for kind in kinds.values() if sum(issubclass(each, kind) for each in kinds.values()) == 1]
+    return dataclass(frozen=True)(type("Any", tuple(last), {}))

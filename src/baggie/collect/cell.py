@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.options.choices import CollectedScenery
+from baggie.options.choices import USUAL_TASK, CollectedScenery
 from baggie.options.collecting import CollectOptions
+from baggie.registry import TASKS
 from baggie.robot.arm import Arm
 from baggie.types import Observation, Outcome, PickPlace
 from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
@@ -81,11 +82,13 @@ OpenCell = Callable[[int], CollectorCell]
 SIMULATED = "simulated FR3"
 
 
-def open_simulated_cell(number: int, scenery: CollectedScenery = "plain") -> CollectorCell:
+def open_simulated_cell(
+    number: int, task: str = USUAL_TASK, scenery: CollectedScenery = "plain"
+) -> CollectorCell:
     """The simulated workcell; imported late, because MuJoCo takes its time."""
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
-    return open_simulated(number, scenery=scenery)
+    return open_simulated(number, task, scenery=scenery, depth=TASKS[task].depth)
 
 
 def open_written_cell(written: WorkcellFile, path: Path, number: int) -> CollectorCell:
@@ -129,7 +132,11 @@ def what_opens(
 def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict[str, Any]]:
     """As `what_opens`, but the robot's name only where it is asked for: some arms have to be made for it."""
     if options.workcell is None:
-        return functools.partial(open_simulated_cell, scenery=options.scenery), lambda: SIMULATED, {}
+        return (
+            functools.partial(open_simulated_cell, task=options.task, scenery=options.scenery),
+            lambda: SIMULATED,
+            {},
+        )
     from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
     path = options.workcell

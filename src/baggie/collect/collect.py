@@ -169,7 +169,9 @@ def _worker(
     options: CollectOptions, open_cell: OpenCell, image_to_robot: ImageToRobot, size: tuple[int, int]
 ) -> OpenWorker[Ids, Attempt]:
     """What a worker process begins with, to record pictures of `size`, pixels."""
-    recording = Recording(TASKS[options.task].instruction, options.seed, options.cell, size)
+    recording = Recording(
+        TASKS[options.task].instruction, options.seed, options.cell, size, depth=TASKS[options.task].depth
+    )
     reference = options.out / CALIBRATION_FOLDER / REFERENCE_FILE if options.watched else None
     return functools.partial(_open_worker, open_cell, image_to_robot, recording, reference)
 

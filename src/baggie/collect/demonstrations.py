@@ -12,19 +12,25 @@ import cv2
 import numpy as np
 
 from baggie import seeds
+from baggie.collect.cell import SIMULATED
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
+from baggie.data.record import fit, without_depth
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid
 from baggie.operator import Operator, TerminalOperator, progress
 from baggie.options.collecting import CollectOptions
+from baggie.pictures import recorded_size
 from baggie.processes import Executor, LocalProcesses
 from baggie.registry import TASKS
 from baggie.seeds import generator
+from baggie.sim.cell import PICTURE_SIZE
 from baggie.tasks.task import Task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
 
 _NOT_LOOKED_FOR = np.full((4, 2), np.nan)
+ROBOTS = {"cup": "simulated FR3 with a suction cup", "hand": SIMULATED}
+"""What moved, by its tool."""
 
 
 class DemonstratorCell(Protocol):
@@ -94,7 +100,7 @@ def _steps(cell: DemonstratorCell, recording: Recording, number: int) -> Iterato
         ends = (
             outcome.failure == "unreachable" or step == cell.task.max_steps - 1 or cell.demonstrate() is None
         )
-        yield Attempt(
+        attempt = Attempt(
             attempt_id=number * cell.task.max_steps + step,
             task=recording.instruction,
             before=before,
@@ -111,6 +117,7 @@ def _steps(cell: DemonstratorCell, recording: Recording, number: int) -> Iterato
             object_symmetry=cell.task.object_symmetry,
             reward=cell.count(),
         )
+        yield fit(attempt if recording.depth else without_depth(attempt), recording.size)
         if ends:
             return
         before = after
@@ -143,14 +150,14 @@ def record_demonstrations(
     Raises `BaggieError` when the disk is full or the folder holds another recording, and `KeyboardInterrupt`, with how
     to go on as its message, when stopped; what was recorded before stays, and the same command goes on from there.
     """
-    task, grid = TASKS[options.task], Grid()
-    rows, columns = grid.shape
-    recording = Recording(task.instruction, options.seed, options.cell, (columns, rows), options.style)
+    task, (rows, columns) = TASKS[options.task], Grid().shape
+    size = (columns, rows) if task.view == "height-map" else recorded_size(PICTURE_SIZE)
+    recording = Recording(task.instruction, options.seed, options.cell, size, options.style, depth=task.depth)
     with DatasetWriter(
         options.out,
         task=task.instruction,
-        robot_type="simulated FR3 with a suction cup",
-        picture_size=(columns, rows),
+        robot_type=ROBOTS[task.tool],
+        picture_size=size,
         collection={
             "task": task.name,
             "seed": options.seed,

@@ -21,7 +21,7 @@ from baggie import seeds
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.cell import CollectorCell
 from baggie.collect.machine import Turn, helped, run_turn, stopped
-from baggie.data.record import fit
+from baggie.data.record import fit, without_depth
 from baggie.errors import ArmError, CameraError, NobodyError, ReachError, StuckError
 from baggie.geometry import FloatArray
 from baggie.operator import Answer, Event, Line, Operator, Question
@@ -141,6 +141,8 @@ class Recording:
     """`(width, height)` of the recorded pictures, pixels."""
     style: CollectedStyle = "plain"
     """Of whoever demonstrates."""
+    depth: bool = False
+    """Whether pictures are recorded with the depth that their camera may measure."""
 
 
 def run_sitting(
@@ -210,7 +212,7 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
         object_symmetry=turn.cell.settings.object_symmetry,
         truth=Truth(turn.truth_before, truth_after) if turn.truth_before and truth_after else None,
     )
-    return fit(attempt, recording.size)
+    return fit(attempt if recording.depth else without_depth(attempt), recording.size)
 
 
 def _box(found: Detection | None) -> FloatArray:

@@ -191,6 +191,16 @@ def fit(attempt: Attempt, size: tuple[int, int]) -> Attempt:
     )
 
 
+def without_depth(attempt: Attempt) -> Attempt:
+    """The same attempt, its pictures in colour alone."""
+    before, after = (
+        None if seen is None else dataclasses.replace(seen, depth=None)
+        for seen in (attempt.before, attempt.after)
+    )
+    assert before is not None
+    return dataclasses.replace(attempt, before=before, after=after)
+
+
 def _scaled(corners: FloatArray, old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
     """Pixel corners `(4, 2)` in a resized picture; pixel centres are at integers."""
     corners = np.asarray(corners, float)

@@ -14,17 +14,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self
 
+import numpy as np
+
 from baggie.evaluation.episode import EpisodeRecord, Kind, MovingCell, Turn, take_turn
 from baggie.evaluation.log import Record
 from baggie.evaluation.pictures import save_map, save_mp4, save_step
 from baggie.evaluation.subjects import open_policy
+from baggie.geometry import FloatArray, PlanarPose
 from baggie.metrics import success_rate, summary
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import DemonstratorPolicy, OraclePolicy, Policy
 from baggie.policies.memory import remembering
 from baggie.seeds import EVALUATION
 from baggie.tasks.task import Task
-from baggie.types import Image, Observation
+from baggie.types import Image, Observation, PickPlace
 
 
 class Score(Protocol):
@@ -64,6 +67,10 @@ class BlockCell(MovingCell, Protocol):
 
     def strict_success(self) -> bool:
         """Whether all is done, with heights, each thing in a place of its own, and stays so for two seconds."""
+        ...
+
+    def goal_corners(self, pose: PlanarPose) -> FloatArray:
+        """`(4, 2)` pixels: where the outline of what is carried would appear if it lay there."""
         ...
 
     def film(self, size: tuple[int, int] = ..., fps: int = ...) -> AbstractContextManager[list[Image]]:
@@ -171,7 +178,8 @@ def run_block_episode(
                 save_map(Path(f"{stem}-before.jpg"), seen)
             turn = take_turn(policy, cell, seen)
             if turn.plan:
-                save_step(Path(f"{stem}-step-{len(steps):02d}.jpg"), seen, turn.plan)
+                ends = _pixels(cell, seen, turn.plan.action)
+                save_step(Path(f"{stem}-step-{len(steps):02d}.jpg"), seen, turn.plan, ends)
             steps.append(BlockStep.of(turn, cell.count()))
             if turn.gave_up:
                 break
@@ -190,6 +198,13 @@ def run_block_episode(
         message="" if success else steps[-1].message,
         wall_s=time.perf_counter() - began,
     )
+
+
+def _pixels(cell: BlockCell, seen: Observation, action: PickPlace) -> FloatArray:
+    """`(2, 2)`: where pick and place appear in a picture."""
+    if seen.grid is not None:
+        return seen.grid.to_pixels([action.pick.xy, action.place.xy])
+    return np.array([cell.goal_corners(pose).mean(axis=0) for pose in (action.pick, action.place)])
 
 
 def _run(bench: BlockBench, number: int, options: EvaluateOptions) -> BlockEpisode:

@@ -22,6 +22,7 @@ from baggie.pictures import read_picture, same_shape
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy
 from baggie.policies.checkpoint import check_camera
 from baggie.policies.exported import ExportedPolicy
+from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.types import Goal, Image, Observation, Outcome, Plan
 from baggie.workcell.config import RealWorkcell, open_workcell
@@ -146,7 +147,13 @@ class ColorOfTheBag(Policy):
 
 def open_simulated_bench(options: EvaluateOptions) -> Bench:
     """The cell and the policy, and for `--goal card` the map that raises the card's corners, where there is one."""
-    cell = open_simulated(options.cell, scenery=options.scenery, picture_size=camera_size(options))
+    cell = open_simulated(
+        options.cell,
+        options.task,
+        scenery=options.scenery,
+        picture_size=camera_size(options),
+        depth=TASKS[options.task].depth,
+    )
     reference = _reference(options)
     cell.watch = Watch(read_picture(reference)) if reference else None
     map_file = card_map(options)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.evaluation.setup import EvaluationCell
-from baggie.files import write_bytes
+from baggie.files import write_bytes, written_whole
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.types import Goal, Image, Observation, Plan
 from baggie.vision.draw import paint_goal
@@ -28,6 +28,7 @@ TRUE = (255, 255, 255)
 HEAT = ((255, 190, 0), (0, 220, 255), (190, 110, 255), (140, 255, 90))
 """One colour for each heat map of a plan, in their order."""
 
+_H264 = ["-crf", "26", "-preset", "medium", "-movflags", "+faststart", "-threads", "1", "-f", "mp4"]
 _HEIGHT = 360
 _COLUMN = 180
 
@@ -150,25 +151,26 @@ def jpeg(image: Image) -> bytes:
 
 
 def save_mp4(path: Path, frames: Sequence[Image], fps: float = 20) -> None:
-    """Frames `(H, W, 3)` of one size, even in both directions, as an H.264 MP4 every browser plays."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Frames `(H, W, 3)` of one size, even in both directions, as an H.264 MP4 every browser plays.
+
+    Written whole or not at all. Raises `WriteError`.
+    """
     height, width = frames[0].shape[:2]
-    partial = path.with_name(path.stem + ".partial.mp4")
-    writer = imageio_ffmpeg.write_frames(
-        str(partial),
-        (width, height),
-        fps=fps,
-        codec="libx264",
-        pix_fmt_out="yuv420p",
-        quality=None,
-        macro_block_size=2,
-        output_params=["-crf", "26", "-preset", "medium", "-movflags", "+faststart", "-threads", "1"],
-    )
-    writer.send(None)
-    for frame in frames:
-        writer.send(np.ascontiguousarray(frame))
-    writer.close()
-    partial.replace(path)
+    with written_whole(path) as partial:
+        writer = imageio_ffmpeg.write_frames(
+            str(partial),
+            (width, height),
+            fps=fps,
+            codec="libx264",
+            pix_fmt_out="yuv420p",
+            quality=None,
+            macro_block_size=2,
+            output_params=_H264,
+        )
+        writer.send(None)
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+        writer.close()
 
 
 def _draw(image: Image, planned: FloatArray, true: FloatArray, radius: int) -> None:
@@ -217,14 +219,13 @@ def save_map(path: Path, seen: Observation) -> None:
     save_jpeg(path, _whole(seen).cut(seen.color))
 
 
-def save_step(path: Path, seen: Observation, plan: Plan) -> None:
+def save_step(path: Path, seen: Observation, plan: Plan, ends: FloatArray) -> None:
     """The plan as an arrow from pick to place over the colours, and beside it its heat maps over the heights.
 
-    `seen` is orthographic. A plan without heat maps is shown alone.
+    `ends`: pixels `(2, 2)` of pick and place. A plan without heat maps is shown alone.
     """
-    assert seen.grid is not None
     whole = _whole(seen)
-    start, end = seen.grid.to_pixels([plan.action.pick.xy, plan.action.place.xy])
+    start, end = ends
     shown = [arrow(whole.cut(seen.color), whole.to_shown(start), whole.to_shown(end))]
     if plan.views:
         shown.append(heat_over(backdrop(seen), whole, plan.views))

@@ -11,8 +11,8 @@ from baggie.errors import BaggieError
 from baggie.policies import ColorMaskPolicy, OraclePolicy, Policy, checkpoint, load_policy
 from baggie.registry import TASKS
 
-_FROM_ABOVE = "transporter"
-"""The policy that looks at height maps, unless it has a camera."""
+_BY_CAMERA, _FROM_ABOVE = ("keypoint", "regression", ColorMaskPolicy.name), "transporter"
+"""Policies that look at a camera's pictures, and the one that looks at height maps, unless it has a camera."""
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
 UNKNOWN = ""
@@ -62,6 +62,8 @@ def check_taught(policy: str, task: str) -> None:
             f"expected a policy that was taught {task}, got {policy}, which was taught {taught}; "
             f"give --task {taught}, or another policy"
         )
+    if config["policy"] not in (*_BY_CAMERA, _FROM_ABOVE):  # another package's knows itself what it looks at
+        return
     from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
     if from_above != (TASKS[task].view == "height-map"):
         looks, needed = ("height maps", "a camera's pictures")[:: 1 if from_above else -1]

@@ -110,7 +110,7 @@ def _work(pipe: Connection, cell: int, picture_size: tuple[int, int]) -> None:
     while True:
         moment: Moment = pipe.recv()
         moment.lay_out(world)
-        pipe.send(renderer.look(moment.exposure, rng, depth=False).color)
+        pipe.send(renderer.look(moment.exposure, rng).color)
 
 
 PORTS = (1337, 1338)

@@ -20,10 +20,7 @@ _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration"
 
 @dataclass(frozen=True)
 class ValidateOptions(Options):
-    """Measure pick and place errors on attempts the policy never learned from.
-
-    Example: baggie validate --policy runs/keypoint --data recordings/bags --out runs/keypoint/validation
-    """
+    """Measure pick and place errors on attempts the policy never learned from."""
 
     policy: str
     """A training run's folder, a Hub id, or `color-mask`."""
@@ -42,8 +39,6 @@ class EvaluateOptions(Options):
     """Run a policy in the closed loop on unseen scenes, and measure how often it does its task.
 
     Again with the same words it goes on where it stopped; with more episodes it adds to those it has.
-
-    Example: baggie evaluate --policy runs/keypoint --episodes 100 --out runs/keypoint/evaluation
     """
 
     policy: str
@@ -141,10 +136,7 @@ class EvaluateOptions(Options):
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Put everything that is known about some runs on one self-contained page.
-
-    Example: baggie report runs/keypoint runs/color-mask --out report.html
-    """
+    """Put everything that is known about some runs on one self-contained page."""
 
     runs: Positional[tuple[Path, ...]]
     """Folders that train, validate or evaluate wrote, or folders of such."""
@@ -156,10 +148,7 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Write a trained policy as files that run without PyTorch.
-
-    Example: baggie export --policy runs/keypoint --out exported/keypoint
-    """
+    """Write a trained policy as files that run without PyTorch."""
 
     policy: str
     """The folder of a training run, or a Hub id."""

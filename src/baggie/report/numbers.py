@@ -81,8 +81,6 @@ def _picture(scene: Scene, attempt: Attempt, what: str) -> Image:
     return marked(outlined, scene.region, [Mark(what, by_arm, box.mean(axis=0))])
 
 
-PUBLISHED = ("as published, real arm", {"pick error": "7.80 cm", "place error": "5.80 cm"})
-"""Pick and place error of the published system (ResNet-18, 200 training images), for comparison."""
 _COLUMNS = (
     "pick error",
     "place error",
@@ -190,9 +188,6 @@ def numbers(results: Results, policies: Sequence[str]) -> Content:
         }
         for number, policy in enumerate(policies)
     ]
-    if results.validations and results.of_bags:
-        name, published = PUBLISHED
-        rows.append({"name": name, "series": None, "kind": "published", "cells": published})
     columns = [column for column in _COLUMNS if any(row["cells"].get(column) for row in rows)]
     for row in rows:
         row["cells"] = [row["cells"].get(column, "") for column in columns]

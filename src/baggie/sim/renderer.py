@@ -94,13 +94,16 @@ class CameraRenderer:
         self._detailed = np.flatnonzero(world.model.geom_group == DETAILED_GROUP)
         self._hulls = np.flatnonzero(world.model.geom_group == HULL_GROUP)
 
-    def look(self, exposure: Exposure, rng: np.random.Generator, depth: bool = True) -> Observation:
-        """A picture of the world as it is now."""
+    def look(
+        self, exposure: Exposure, rng: np.random.Generator, depth_rng: np.random.Generator | None = None
+    ) -> Observation:
+        """A picture of the world as it is now, with depth where there is a stream to draw its noise from."""
         renderer = self._off_screen.renderer()
         with self._arm_simplified():
             renderer.update_scene(self._world.data, "top")
         color = self._lens.distort(renderer.render())
-        measured = self._depth(renderer, rng) if depth else None
+        measured = None if depth_rng is None else self._depth(renderer, depth_rng)
+        self._sensor.pass_over(rng)  # pictures of a seed are as they were when this stream drew depth, too
         recorded = self._sensor.expose(color, exposure, rng)
         return Observation(recorded, measured, time=self._world.time)
 

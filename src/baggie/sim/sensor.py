@@ -134,6 +134,10 @@ class Sensor:
         noisy = cv2.multiply(noise, strength.astype(np.int16), scale=1 / (64 * 64))
         return np.asarray(cv2.add(noisy, lit, dtype=cv2.CV_8U))
 
+    def pass_over(self, rng: np.random.Generator) -> None:
+        """Draw what noise of depth would be made of, for nothing."""
+        rng.integers(_SLACK, size=2)
+
     def measure_depth(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Depth with a time-of-flight camera's noise, in whole millimetres: `(H, W)` float32 metres."""
         height, width = depth.shape

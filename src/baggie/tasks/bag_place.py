@@ -30,4 +30,5 @@ BAG_PLACE = Task(
     draw_scene=_draw,
     max_steps=3,
     object_symmetry=BAG.symmetry,
+    has_goal=True,
 )

@@ -16,7 +16,7 @@ from baggie.seeds import first_fit
 from baggie.sim.blocks import CUP_RADIUS_M, Block, Fixture, distance_m, extent_m, reach_m
 from baggie.tasks.layout import find_room
 from baggie.tasks.scoring import ANGLE_RAD, filled, yaw_of
-from baggie.tasks.task import Scene, Slot, Stage
+from baggie.tasks.task import Scene, Slot, Stage, Tool
 from baggie.types import PickPlace
 
 
@@ -46,18 +46,27 @@ def remaining(stages: Sequence[Stage], poses: Mapping[str, FloatArray]) -> Remai
     return None
 
 
-def next_action(stages: Sequence[Stage], poses: Mapping[str, FloatArray]) -> PickPlace | None:
+def next_action(
+    stages: Sequence[Stage], poses: Mapping[str, FloatArray], tool: Tool = "cup"
+) -> PickPlace | None:
     """The next pick and place, or None when every block is in its slot, strictly.
 
-    Of the first stage that is not full it takes the first block that fills no slot, by its middle and at yaw 0, to the
-    lowest free slot, the first of equally low ones. A stage lists both in an order that a picture decides, so that what
-    is demonstrated can be learned. Of the yaws that come to the same it chooses the one that turns the wrist least.
+    Of the first stage that is not full it takes the first block that fills no slot, by its middle, a cup at yaw 0 and a
+    hand along the block, to the lowest free slot, the first of equally low ones. A stage lists both in an order that a
+    picture decides, so that what is demonstrated can be learned. Of the yaws that come to the same it chooses the one
+    that turns the wrist least.
     `poses`: `T_base_body` `(4, 4)` of blocks and fixtures by name.
     """
     left = remaining(stages, poses)
     if left is None:
         return None
-    return carry(poses[left.blocks[0]], left.slots[0].T_base_slot(poses), left.stage.symmetry)
+    T_base_block, symmetry = poses[left.blocks[0]], left.stage.symmetry
+    action = carry(T_base_block, left.slots[0].T_base_slot(poses), symmetry)
+    if tool == "cup" or symmetry == 0:
+        return action
+    along = wrap_angle(yaw_of(T_base_block), 2 * np.pi / symmetry)
+    pick, place = action.pick, action.place
+    return PickPlace(replace(pick, yaw=along), replace(place, yaw=wrap_angle(along + place.yaw)))
 
 
 def carry(

@@ -16,6 +16,9 @@ from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.things import Thing
 from baggie.sim.variety import Variety
 
+Tool = Literal["hand", "cup"]
+"""What an arm carries."""
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -95,7 +98,7 @@ class Task:
     name: str
     instruction: str
     """In words, as it is recorded with every attempt."""
-    tool: Literal["hand", "cup"]
+    tool: Tool
     """What the arm carries."""
     view: Literal["camera", "height-map"]
     """What a policy sees: the overhead camera's picture, or the table from straight above with heights."""
@@ -107,6 +110,10 @@ class Task:
     """How many picks and places an episode may take."""
     object_symmetry: int
     """How many times a turn what is carried looks the same: place yaws that far apart come to the same."""
+    has_goal: bool = False
+    """Whether a policy is given a goal in the picture; else the stages say where things go."""
+    depth: bool = False
+    """Whether the camera's depth is recorded with its pictures."""
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -116,8 +123,3 @@ class Task:
     def draw(self, rng: np.random.Generator, setting: Setting | None = None) -> Scene:
         """A scene, drawn from a stream; of cell 0 with nothing varied unless a setting is given."""
         return self.draw_scene(rng, setting or Setting(self.things))
-
-    @property
-    def has_goal(self) -> bool:
-        """Whether a policy is given a goal in the picture; else the task itself says where things go."""
-        return self.view == "camera"

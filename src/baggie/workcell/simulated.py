@@ -58,26 +58,32 @@ class SimulatedWorkcell(Workcell):
         scenery: Scenery = "plain",
         picture_size: tuple[int, int] = PICTURE_SIZE,
         pictures: bool = True,
+        depth: bool = True,
     ) -> None:
-        """`task`: the usual one unless given; `things`: the task's. `picture_size`: of the overhead camera, pixels."""
+        """`task`: the usual one unless given; `things`: the task's. `picture_size`: of the overhead camera, pixels;
+        `depth`: whether it measures that, too.
+        """
         self.task = task or TASKS[USUAL_TASK]
         self.scenery: Scenery = scenery
         self._things = tuple(self.task.things if things is None else things)
         self._cell = draw_cell(cell, picture_size)
         described = settings or _settings(self.task, self._things, cell)
-        self.scene = self._draw(described.workspace, _FIRST, np.random.default_rng(_FIRST))
+        self._rng = np.random.default_rng(_FIRST)
+        self.scene = self._draw(described.workspace, _FIRST)
         self.world = self._build()
         self._tool = SimulatedArm(self.world) if self.task.tool == "hand" else SuctionArm(self.world)
         self._view: SimulatedView = NoPictures()
         if pictures:
             overhead = self.task.view == "camera"
             self._view = (
-                SimulatedCamera(self.world, self._exposure) if overhead else SimulatedHeightMap(self.world)
+                SimulatedCamera(self.world, self._exposure, depth)
+                if overhead
+                else SimulatedHeightMap(self.world)
             )
         super().__init__(self._tool, self._view, described)
         if scenery != "plain":
             self._describe()
-        self.reset(_FIRST)
+        self._begin()
 
     def reset(self, seed: Sequence[int]) -> None:
         """A new scene of the task, the one these integers name; arm parked, nothing scored yet.
@@ -85,14 +91,18 @@ class SimulatedWorkcell(Workcell):
         Where the scenery varies, `settings` describe the bag at hand from now on.
         """
         self._rng = np.random.default_rng(list(seed))
-        self._view.reseed(self._rng)
-        self.scene = self._draw(self.settings.workspace, tuple(seed), self._rng)
-        self.score = RavensScore(self.scene.stages)
+        self.scene = self._draw(self.settings.workspace, tuple(seed))
         if self.scenery != "plain":
             self.world = self._build()
             self._tool.enter(self.world)
             self._view.enter(self.world, self._exposure)
             self._describe()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Lay out the scene at hand in the world at hand, all else cleared away."""
+        self._view.reseed(self._rng)
+        self.score = RavensScore(self.scene.stages)
         self.world.reshape([*self.scene.blocks, *self.scene.fixtures])
         self.show_paddle(False)
         self.lay_card(None)
@@ -102,8 +112,10 @@ class SimulatedWorkcell(Workcell):
         self._tool.reset()
         self.arm.park()
 
-    def _draw(self, workspace: Rectangle, seed: Sequence[int], rng: np.random.Generator) -> Scene:
-        return self.task.draw(rng, Setting(self._things, self._cell, workspace, self.scenery, tuple(seed)))
+    def _draw(self, workspace: Rectangle, seed: Sequence[int]) -> Scene:
+        return self.task.draw(
+            self._rng, Setting(self._things, self._cell, workspace, self.scenery, tuple(seed))
+        )
 
     def _build(self) -> World:
         """The world of the scene at hand; where nothing varies, of all that any scene needs."""
@@ -147,7 +159,7 @@ class SimulatedWorkcell(Workcell):
         With a stream in the style of others, whose whims are drawn from it (`baggie.tasks.demonstrator`).
         """
         if rng is None:
-            return next_action(self.scene.stages, self.world.poses())
+            return next_action(self.scene.stages, self.world.poses(), self.task.tool)
         return varied_action(self.scene, self.world.poses(), rng)
 
     def count(self) -> float:
@@ -258,8 +270,9 @@ class SimulatedWorkcell(Workcell):
 def _settings(task: Task, things: Sequence[Thing], cell: int) -> WorkcellSettings:
     """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
     if task.tool == "hand":
-        (bag, *_) = (thing for thing in things if isinstance(thing, Bag))
-        return _describing(bag, WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING))
+        settings = WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)
+        bags = [thing for thing in things if isinstance(thing, Bag)]
+        return _describing(bags[0], settings) if bags else settings
     largest = max(task.blocks, key=lambda block: block.size_m)
     return WorkcellSettings(
         name=f"sim cell {cell}, {task.name}",
@@ -291,11 +304,12 @@ def open_simulated(
     scenery: Scenery = "plain",
     picture_size: tuple[int, int] = PICTURE_SIZE,
     pictures: bool = True,
+    depth: bool = True,
 ) -> SimulatedWorkcell:
     """The simulated workcell with this cell number and the task of this name, its scenes as `baggie.sim.variety` says.
 
-    `picture_size`: `(width, height)` of its overhead camera's pictures, pixels. Raises `BaggieError` where there is no
-    such task.
+    `picture_size`: `(width, height)` of its overhead camera's pictures, pixels; `depth`: whether they have it. Raises
+    `BaggieError` where there is no such task.
     """
     return SimulatedWorkcell(
         cell,
@@ -304,4 +318,5 @@ def open_simulated(
         scenery=scenery,
         picture_size=picture_size,
         pictures=pictures,
+        depth=depth,
     )

@@ -33,16 +33,17 @@ class SimulatedView(Camera, Protocol):
 
 
 class SimulatedCamera:
-    """The overhead colour and depth camera, with exposure and light that drift."""
+    """The overhead camera, with exposure and light that drift."""
 
-    def __init__(self, world: World, usual: Exposure) -> None:
-        """`usual`: what exposures drift about."""
+    def __init__(self, world: World, usual: Exposure, depth: bool) -> None:
+        """`usual`: what exposures drift about; `depth`: whether it measures that, too."""
         self.name = f"simulated camera of cell {world.cell.number}"
         self.size = world.cell.lens.size
         self.intrinsics: Intrinsics | None = None  # nobody has calibrated it
         self._renderer = CameraRenderer(world)
         self._usual = usual
         self._rng = np.random.default_rng()
+        self._depth_rng = np.random.default_rng() if depth else None
 
     def enter(self, world: World, usual: Exposure) -> None:
         """Look into another world from now on, with exposures that drift about `usual`."""
@@ -51,13 +52,15 @@ class SimulatedCamera:
         self._usual = usual
 
     def reseed(self, rng: np.random.Generator) -> None:
-        """Draw exposures and noise from a stream that this one spawns from now on."""
-        (self._rng,) = rng.spawn(1)
+        """Draw exposures and noise from streams that this one spawns from now on."""
+        self._rng, of_depth = rng.spawn(2)
+        self._depth_rng = None if self._depth_rng is None else of_depth
 
     def look(self) -> Observation:
         """A picture of the world as it is now."""
         exposure = self._usual.times(Exposure.random(self._rng))
-        return replace(self._renderer.look(exposure, self._rng), intrinsics=self.intrinsics)
+        seen = self._renderer.look(exposure, self._rng, self._depth_rng)
+        return replace(seen, intrinsics=self.intrinsics)
 
     def close(self) -> None:
         """Free the OpenGL context."""

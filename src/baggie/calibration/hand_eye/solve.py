@@ -1,20 +1,22 @@
 """Where the camera is on the robot: hand-eye calibration, from poses of the hand and views of a printed board.
 
-Seven closed forms and our refinements all solve the same views; each view is left out in turn and predicted from the
-others, and a method is taken that does this at least as well as the best closed form.
-
-Every way to solve a hand-eye recording, judged by the same views: each view in turn left out and then predicted.
+Two closed forms and our refinements all solve the same views; each view is left out in turn and predicted from the
+others, and a method is taken that does this at least as well as the better closed form.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.calibration.files import Calibration, CameraIdentity
 from baggie.calibration.hand_eye.agree import Agreement, agree, lens_share
 from baggie.calibration.hand_eye.refine import (
     CLOSED_FORMS,
@@ -26,15 +28,102 @@ from baggie.calibration.hand_eye.refine import (
     refine,
     reproject,
 )
-from baggie.calibration.hand_eye.result import HandEye, MethodErrors
-from baggie.calibration.hand_eye.views import HandEyeViews
-from baggie.calibration.pose import UncertainTransform
+from baggie.calibration.hand_eye.views import HandEyeViews, Mount
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, rigid_from_yaml, uncertainty_to_yaml
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
-
-_STARTS = 3
+from baggie.pictures import write_figure
 
 REPROJECTION = "reprojection"
+_SCALE_OFF = 0.01
+_SCALE_STDS = 5.0
+_FRAMES: Mapping[Mount, tuple[str, str]] = {
+    "hand": ("T_hand_camera", "T_base_board"),
+    "fixed": ("T_base_camera", "T_hand_board"),
+}
+"""What is found, as files have it."""
+
+
+@dataclass(frozen=True)
+class MethodErrors:
+    """How far one method leaves the views apart, millimetres."""
+
+    leave_one_out_mm: float
+    """Mean over views, each against the others under a fit to the others: what a new view would be off by."""
+    median_mm: float
+    """Of the same errors."""
+    max_mm: float
+    """Of the same errors."""
+    disagreement_mm: float
+    """Mean distance of all views from their mean, under the fit to all: smaller, and never to be trusted alone."""
+
+
+@dataclass(frozen=True)
+class HandEye(Calibration):
+    """Where the camera is on the hand, or on the base."""
+
+    KIND = "hand-eye"
+
+    mount: Mount
+    transform: UncertainTransform
+    """`T_hand_camera`, or `T_base_camera` for a fixed camera."""
+    board: FloatArray
+    """`(4, 4)`: `T_base_board`, or `T_hand_board` for a fixed camera."""
+    method: str
+    """The one of `methods` with the least error of views left out."""
+    methods: Mapping[str, MethodErrors]
+    views: tuple[tuple[str, float], ...]
+    """Name of each kept view and its error when left out, millimetres."""
+    dropped: tuple[tuple[str, str], ...]
+    """Name and why; these are the views to take again."""
+    warnings: tuple[str, ...]
+    camera: CameraIdentity | None = None
+
+    @property
+    def leave_one_out_mm(self) -> float:
+        """Mean over kept views, of the chosen method."""
+        return self.methods[self.method].leave_one_out_mm
+
+    def summary(self) -> dict[str, Any]:
+        """What a person or a script wants to know, ready for JSON; lengths of matrices in metres."""
+        transform, board = _FRAMES[self.mount]
+        return {
+            "mount": self.mount,
+            transform: self.transform.transform.tolist(),
+            "leave_one_out_mm": self.leave_one_out_mm,
+            "dropped": [{"view": name, "why": why} for name, why in self.dropped],
+            "warnings": list(self.warnings),
+            board: self.board.tolist(),
+            "method": self.method,
+            "methods": {name: asdict(errors) for name, errors in self.methods.items()},
+            "uncertainty": self.transform.summary(),
+            "views": [{"name": name, "leave_one_out_mm": error} for name, error in self.views],
+        }
+
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {
+            "units": "m",
+            **self.summary(),
+            "uncertainty": uncertainty_to_yaml(self.transform),
+            "camera": self.camera.to_yaml() if self.camera else None,
+        }
+
+    @classmethod
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`, whatever methods an earlier version compared."""
+        transform, board = _FRAMES[content["mount"]]
+        return cls(
+            content["mount"],
+            pose_from_yaml(content, transform),
+            rigid_from_yaml(content, board),
+            str(content["method"]),
+            {name: MethodErrors(**errors) for name, errors in content["methods"].items()},
+            tuple((view["name"], float(view["leave_one_out_mm"])) for view in content["views"]),
+            tuple((view["view"], view["why"]) for view in content["dropped"]),
+            tuple(content["warnings"]),
+            CameraIdentity.from_yaml(content["camera"]) if content["camera"] else None,
+        )
 
 
 @dataclass(frozen=True)
@@ -65,19 +154,18 @@ class Candidate:
 
 
 def compare(agreed: Agreement) -> dict[str, Candidate]:
-    """All of OpenCV's closed forms and our refinements, by name."""
+    """The closed forms, and the refinements, each from the best of these starts, by name."""
     views = agreed.views
     everything = np.arange(len(views))
-    candidates = {}
-    starts = [agreed.pair]
-    for method, solve in _closed_forms(views).items():
+    candidates, starts = {}, [agreed.pair]
+    for method in CLOSED_FORMS:
+        solve: Solve = partial(_closed_form, views, method)
         try:
-            fit = solve(everything, starts[0])
+            fit = solve(everything, agreed.pair)
         except CalibrationError:
             continue
         candidates[method] = _judge(views, solve, fit)
-    ranked = sorted(candidates.values(), key=lambda candidate: candidate.apart_mm.mean())
-    starts += [best.fit.pair for best in ranked[: _STARTS - 1]]
+        starts.append(fit.pair)
     for method, solve in _refinements(views).items():
         fits = [solve(everything, start) for start in starts]
         fit = min(fits, key=lambda found: float(_apart_mm(views, found.pair[0]).mean()))
@@ -102,14 +190,10 @@ def uncertainty(fit: Fit, shape: FloatArray, left_out: tuple[FloatArray, ...]) -
     return UncertainTransform(fit.pair[0], size * shape)
 
 
-def _closed_forms(views: HandEyeViews) -> dict[str, Solve]:
-    stand_mount, camera_board = views.T_stand_mount, views.T_camera_board
-
-    def solve(method: str, which: NDArray[np.int64], start: Pair) -> Fit:
-        found = closed_form(method, stand_mount[which], camera_board[which])
-        return Fit((found, mean_board(found, stand_mount[which], camera_board[which])))
-
-    return {method: partial(solve, method) for method in CLOSED_FORMS}
+def _closed_form(views: HandEyeViews, method: str, which: NDArray[np.int64], start: Pair) -> Fit:
+    stand_mount, camera_board = views.T_stand_mount[which], views.T_camera_board[which]
+    found = closed_form(method, stand_mount, camera_board)
+    return Fit((found, mean_board(found, stand_mount, camera_board)))
 
 
 def _refinements(views: HandEyeViews) -> dict[str, Solve]:
@@ -174,10 +258,6 @@ def best_of(candidates: Mapping[str, Candidate]) -> str:
     return min(errors, key=lambda method: errors[method])
 
 
-_SCALE_OFF = 0.01
-_SCALE_STDS = 5.0
-
-
 def solve_hand_eye(views: HandEyeViews, keep_all: bool = False) -> HandEye:
     """`T_hand_camera` (camera on the hand) or `T_base_camera` (fixed camera) from at least three views.
 
@@ -236,3 +316,61 @@ def _wrong_scale(views: HandEyeViews, pair: Pair) -> tuple[str, ...]:
         f"the board seems to be printed at {fit.scale * 100:.0f}% of its stated size; measure a square (or the focal "
         "length is off by as much)",
     )
+
+
+_FULL = 4.0
+"""Bars end at this many times the best method's error; the number beside one says the rest."""
+
+
+def draw_views(result: HandEye, path: Path) -> None:
+    """Save each view's error when left out, with the dropped ones marked, above every method's mean.
+
+    Raises `WriteError`.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 -- worker processes start without it
+
+    names = [name for name, _ in (*result.views, *result.dropped)]
+    errors = [error for _, error in result.views] + [0.0] * len(result.dropped)
+    dropped = np.arange(len(names)) >= len(result.views)
+    order = sorted(range(len(names)), key=lambda i: _in_order(names[i]))
+    places = np.arange(len(names))
+    figure = Figure(figsize=(7.5, 6.5), layout="constrained")
+    above, below = figure.subplots(2, 1)
+    gone = dropped[order]
+    above.bar(
+        places[~gone], np.array(errors)[order][~gone], color="tab:blue", label="left out, against the others"
+    )
+    above.axhline(
+        result.leave_one_out_mm, color="0.4", linestyle="--", label=f"mean {result.leave_one_out_mm:.2f} mm"
+    )
+    above.scatter(
+        places[gone],
+        np.zeros(gone.sum()),
+        s=40,
+        color="tab:red",
+        marker="x",
+        clip_on=False,
+        label="dropped: take again",
+    )
+    above.set_xticks(places, [names[i] for i in order], rotation=90, fontsize=7)
+    above.set_ylabel("error of the view (mm)")
+    above.set_title(f"{len(result.views)} views kept, {len(result.dropped)} dropped, by {result.method}")
+    above.legend(frameon=False, fontsize=8)
+
+    methods = sorted(result.methods, key=lambda name: result.methods[name].leave_one_out_mm)
+    means = np.array([result.methods[name].leave_one_out_mm for name in methods])
+    end = _FULL * max(result.leave_one_out_mm, 1e-6)
+    below.barh(
+        methods, np.minimum(means, end), color=["tab:green" if m == result.method else "0.7" for m in methods]
+    )
+    for row, mean in enumerate(means):
+        below.text(min(mean, end), row, f" {mean:.2f}", va="center", fontsize=8)
+    below.set_xlim(0, 1.1 * end)
+    below.invert_yaxis()
+    below.set_xlabel("mean error of views left out (mm)")
+    write_figure(path, figure)
+
+
+def _in_order(name: str) -> list[tuple[int, str]]:
+    """Sorts "view 9" before "view 10"."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

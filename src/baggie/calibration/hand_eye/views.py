@@ -62,34 +62,38 @@ class HandEyeViews:
         cls,
         mount: Mount,
         T_base_hand: Sequence[ArrayLike],
-        seen: Sequence[Seen | None],
+        seen: Sequence[Seen | FloatArray | str | None],
         intrinsics: Intrinsics,
         *,
         intrinsics_covariance: FloatArray | None = None,
         names: Sequence[str] | None = None,
         camera: CameraIdentity | None = None,
     ) -> HandEyeViews:
-        """From N poses of the hand `(4, 4)` and the board's corners seen there; None for a view without the board."""
+        """From N poses of the hand `(4, 4)` and what was seen of the board from there.
+
+        That is its corners; or its pose `(4, 4)`, where only that is known; or why it was not found, in words or None.
+        """
         names = [f"view {i}" for i in range(len(seen))] if names is None else names
-        hands, boards, kept, kept_names, dropped = [], [], [], [], []
-        for hand, corners, name in zip(T_base_hand, seen, names, strict=True):
-            if corners is None:
-                dropped.append((name, "the board is not seen"))
-                continue
-            try:
-                boards.append(fit_pose(corners.points, corners.pixels, intrinsics).pose.transform)
-            except CalibrationError as error:
-                dropped.append((name, str(error)))
-                continue
-            hands.append(np.asarray(hand, float))
-            kept.append(corners)
-            kept_names.append(name)
+        kept: list[tuple[str, FloatArray, FloatArray, Seen | None]] = []
+        dropped = []
+        for name, hand, found in zip(names, T_base_hand, seen, strict=True):
+            if found is None or isinstance(found, str):
+                dropped.append((name, found or "the board is not seen"))
+            elif isinstance(found, Seen):
+                try:
+                    board = fit_pose(found.points, found.pixels, intrinsics).pose.transform
+                    kept.append((name, np.asarray(hand, float), board, found))
+                except CalibrationError as error:
+                    dropped.append((name, str(error)))
+            else:
+                kept.append((name, np.asarray(hand, float), found, None))
+        corners = tuple(found for *_, found in kept if found is not None)
         return cls(
             mount,
-            np.array(hands).reshape(-1, 4, 4),
-            np.array(boards).reshape(-1, 4, 4),
-            tuple(kept_names),
-            tuple(kept),
+            np.array([hand for _, hand, _, _ in kept]).reshape(-1, 4, 4),
+            np.array([board for _, _, board, _ in kept]).reshape(-1, 4, 4),
+            tuple(name for name, *_ in kept),
+            corners if len(corners) == len(kept) else None,
             intrinsics,
             intrinsics_covariance,
             camera,
@@ -131,47 +135,29 @@ def read_views(folder: Path) -> HandEyeViews:
         _fail(folder, f'expected "units": "m" or "mm", got {units!r}; say what the translations are in')
     if mount not in ("hand", "fixed"):
         _fail(folder, f'expected "mount": "hand" or "fixed", got {mount!r}; say what carries the camera')
-    entries = content["views"]
-
-    def pose(entry: Mapping[str, Any], key: str, name: str) -> FloatArray:
-        matrix = checked_pose(entry[key], key, name)
-        matrix[:3, 3] *= _METRES[units]
-        return matrix
-
-    pictures = _Pictures(folder, content)
-    hands, boards, names, seen, dropped = [], [], [], [], []
-    for i, entry in enumerate(entries):
-        name = str(entry.get("image", f"view {i}"))
-        if "T_base_hand" not in entry:
-            _fail(folder, f"view {i} has no T_base_hand; give where the hand was, in the base's frame")
-        hand = pose(entry, "T_base_hand", name)
-        corners = None
-        if "image" in entry and ("board" in content or "T_camera_board" not in entry):
-            try:
-                board, corners = pictures.look(name)
-            except CalibrationError as error:
-                dropped.append((name, str(error)))
-                continue
-        elif "T_camera_board" in entry:
-            board = pose(entry, "T_camera_board", name)
-        else:
-            _fail(folder, f"view {i} has neither T_camera_board nor image; give one of them")
-        hands.append(hand)
-        boards.append(board)
-        names.append(name)
-        seen.append(corners)
-    shown = tuple(corners for corners in seen if corners is not None)
-    views = HandEyeViews(
-        mount,
-        np.array(hands).reshape(-1, 4, 4),
-        np.array(boards).reshape(-1, 4, 4),
-        tuple(names),
-        shown if len(shown) == len(seen) and shown else None,
-        pictures.intrinsics,
-        pictures.covariance,
-        pictures.camera,
-        tuple(dropped),
-    )
+    entries = [
+        _Entry.read(folder, content, number, _METRES[units]) for number in range(len(content["views"]))
+    ]
+    names = tuple(entry.name for entry in entries)
+    hands = np.array([entry.T_base_hand for entry in entries]).reshape(-1, 4, 4)
+    boards = [entry.T_camera_board for entry in entries if entry.T_camera_board is not None]
+    if len(boards) == len(entries):
+        views = HandEyeViews(mount, hands, np.array(boards).reshape(-1, 4, 4), names)
+    else:
+        first = next(entry.name for entry in entries if entry.T_camera_board is None)
+        setting = _Setting.read(folder, content, _read_picture(folder, first))
+        views = HandEyeViews.from_seen(
+            mount,
+            list(hands),
+            [
+                setting.detect(folder, entry.name) if entry.T_camera_board is None else entry.T_camera_board
+                for entry in entries
+            ],
+            setting.intrinsics,
+            intrinsics_covariance=setting.covariance,
+            names=names,
+            camera=setting.camera,
+        )
     _check_units(views, units)
     return views
 
@@ -208,77 +194,97 @@ def checked_pose(matrix: Any, words: str, view: str) -> FloatArray:
     return pose
 
 
-class _Pictures:
-    """The pictures of a recording, all of one camera; the camera and the board are read when first needed."""
+@dataclass(frozen=True)
+class _Entry:
+    """What a recording says of one view, metres."""
 
-    def __init__(self, folder: Path, content: Mapping[str, Any]) -> None:
-        self._folder, self._content = folder, content
-        self._target: Target | None = None
-        self.intrinsics: Intrinsics | None = None
-        self.covariance: FloatArray | None = None
-        self.camera: CameraIdentity | None = None
+    name: str
+    """Of its picture, where it has one."""
+    T_base_hand: FloatArray
+    T_camera_board: FloatArray | None
+    """None where the picture is to tell."""
 
-    def look(self, name: str) -> tuple[FloatArray, Seen]:
-        """`T_camera_board` and the corners. Raises `CalibrationError` where the board is not found."""
-        image = self._read(name)
-        size = (image.shape[1], image.shape[0])
-        if self._target is None or self.intrinsics is None:
-            self._target, self.intrinsics = self._setting(*size)
-        if size != (self.intrinsics.width, self.intrinsics.height):
+    @classmethod
+    def read(cls, folder: Path, content: Mapping[str, Any], number: int, metres: float) -> _Entry:
+        """The view of this number, whose translations are in so many metres."""
+        entry = content["views"][number]
+        name = str(entry.get("image", f"view {number}"))
+        if "T_base_hand" not in entry:
+            _fail(folder, f"view {number} has no T_base_hand; give where the hand was, in the base's frame")
+
+        def pose(key: str) -> FloatArray:
+            matrix = checked_pose(entry[key], key, name)
+            matrix[:3, 3] *= metres
+            return matrix
+
+        if "image" in entry and ("board" in content or "T_camera_board" not in entry):
+            return cls(name, pose("T_base_hand"), None)
+        if "T_camera_board" not in entry:
+            _fail(folder, f"view {number} has neither T_camera_board nor image; give one of them")
+        return cls(name, pose("T_base_hand"), pose("T_camera_board"))
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What a recording says of all its pictures: the board and the camera, and how sure its lens is."""
+
+    board: Target
+    intrinsics: Intrinsics
+    covariance: FloatArray | None
+    camera: CameraIdentity | None
+
+    @classmethod
+    def read(cls, folder: Path, content: Mapping[str, Any], picture: Image) -> _Setting:
+        """For pictures of the size of one of them."""
+        height, width = picture.shape[:2]
+        missing = [key for key in ("camera_matrix", "distortion", "board") if key not in content]
+        if missing:
+            _fail(folder, f'expected {" and ".join(missing)} beside "views", because it names pictures')
+        try:
+            matrix = np.array(content["camera_matrix"], float).reshape(3, 3)
+            distortion = np.array(content["distortion"], float).ravel()
+        except (TypeError, ValueError):
+            _fail(folder, "expected 3 x 3 numbers as camera_matrix and a list of numbers as distortion")
+        if len(distortion) not in (0, 4, 5, 8, 12, 14):
+            _fail(folder, f"expected 0, 4, 5, 8, 12 or 14 distortion coefficients, got {len(distortion)}")
+        try:
+            sag = Sag.from_yaml(content.get("sag")) or FLAT
+        except (KeyError, TypeError, ValueError):
+            _fail(folder, "expected along_m and across_m, metres, as sag")
+        covariance, camera, numbers = None, None, 4 + len(distortion)
+        try:
+            if content.get("intrinsics_covariance") is not None:
+                covariance = np.array(content["intrinsics_covariance"], float).reshape(numbers, numbers)
+        except (TypeError, ValueError):
+            _fail(folder, f"expected {numbers} x {numbers} numbers as intrinsics_covariance")
+        try:
+            if "camera" in content:
+                camera = CameraIdentity.from_yaml(content["camera"])
+        except (KeyError, TypeError, ValueError):
+            _fail(folder, "expected name, width and height as camera")
+        if camera is not None:
+            camera.check(CameraIdentity(camera.name, width, height), f"the recording {folder}")
+        board = with_sag(parse_target(str(content["board"])), sag)
+        return cls(board, Intrinsics(width, height, matrix, distortion), covariance, camera)
+
+    def detect(self, folder: Path, name: str) -> Seen | str:
+        """The board's corners in a picture, or why it is not found there."""
+        picture = _read_picture(folder, name)
+        height, width = picture.shape[:2]
+        if (width, height) != (self.intrinsics.width, self.intrinsics.height):
             _fail(
-                self._folder,
-                f"{name} has {size[0]} x {size[1]} pixels, those before it {self.intrinsics.width} x "
+                folder,
+                f"{name} has {width} x {height} pixels, those before it {self.intrinsics.width} x "
                 f"{self.intrinsics.height}; one camera matrix is good for one resolution",
             )
-        seen = self._target.detect(image)
-        if seen is None:
-            raise CalibrationError(self._target.why_not(image))
-        return fit_pose(seen.points, seen.pixels, self.intrinsics).pose.transform, seen
+        return self.board.detect(picture) or self.board.why_not(picture)
 
-    def _read(self, name: str) -> Image:
-        path = self._folder / name
-        if not path.is_file():
-            raise DataError(f"no picture {path}; put it there, or take its view out of views.json")
-        return read_picture(path)
 
-    def _setting(self, width: int, height: int) -> tuple[Target, Intrinsics]:
-        missing = [key for key in ("camera_matrix", "distortion", "board") if key not in self._content]
-        if missing:
-            _fail(self._folder, f'expected {" and ".join(missing)} beside "views", because it names pictures')
-        try:
-            matrix = np.array(self._content["camera_matrix"], float).reshape(3, 3)
-            distortion = np.array(self._content["distortion"], float).ravel()
-        except (TypeError, ValueError):
-            _fail(self._folder, "expected 3 x 3 numbers as camera_matrix and a list of numbers as distortion")
-        if len(distortion) not in (0, 4, 5, 8, 12, 14):
-            _fail(
-                self._folder, f"expected 0, 4, 5, 8, 12 or 14 distortion coefficients, got {len(distortion)}"
-            )
-        self._read_calibration(width, height, 4 + len(distortion))
-        try:
-            sag = Sag.from_yaml(self._content.get("sag")) or FLAT
-        except (KeyError, TypeError, ValueError):
-            _fail(self._folder, "expected along_m and across_m, metres, as sag")
-        board = with_sag(parse_target(str(self._content["board"])), sag)
-        return board, Intrinsics(width, height, matrix, distortion)
-
-    def _read_calibration(self, width: int, height: int, parameters: int) -> None:
-        """What our own recordings say besides: which camera it is, and how sure its lens is."""
-        if "camera" in self._content:
-            try:
-                self.camera = CameraIdentity.from_yaml(self._content["camera"])
-            except (KeyError, TypeError, ValueError):
-                _fail(self._folder, "expected name, width and height as camera")
-            self.camera.check(
-                CameraIdentity(self.camera.name, width, height), f"the recording {self._folder}"
-            )
-        if self._content.get("intrinsics_covariance") is not None:
-            try:
-                self.covariance = np.array(self._content["intrinsics_covariance"], float).reshape(
-                    parameters, parameters
-                )
-            except (TypeError, ValueError):
-                _fail(self._folder, f"expected {parameters} x {parameters} numbers as intrinsics_covariance")
+def _read_picture(folder: Path, name: str) -> Image:
+    path = folder / name
+    if not path.is_file():
+        raise DataError(f"no picture {path}; put it there, or take its view out of views.json")
+    return read_picture(path)
 
 
 def _check_units(views: HandEyeViews, units: str) -> None:

@@ -13,16 +13,15 @@ whole map by 10 mm, and every residual looks perfect. Turned this way and that, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
+from baggie.calibration.files import CameraCalibrated, CameraIdentity
 from baggie.calibration.image_to_robot.fit import LensOrigin, solve
 from baggie.calibration.image_to_robot.projection import derivatives, heights_of, project, to_plane
 from baggie.calibration.image_to_robot.residuals import Comparison, Residuals, lattice, shared_area
@@ -31,17 +30,17 @@ from baggie.geometry import FloatArray, Rectangle, wrap_angle
 from baggie.pictures import same_shape
 from baggie.types import Intrinsics
 
-_KIND = "image-to-robot"
 _SAME_HEIGHT_M = 0.001
 _COMPARED = (9, 15)
 """Rows and columns of the grid on which two maps are compared."""
 
 
 @dataclass(frozen=True)
-class ImageToRobot:
+class ImageToRobot(CameraCalibrated):
     """Maps pixels (u, v) of one camera's pictures to x, y in the robot's base frame, metres, at one height."""
 
-    camera: CameraIdentity
+    KIND = "image-to-robot"
+
     lens: Intrinsics
     lens_origin: LensOrigin
     """`calibrated`: given. `estimated`: radial terms were fitted along. `none`: taken for a pinhole."""
@@ -206,9 +205,9 @@ class ImageToRobot:
             "std_mm": self.std_mm,
         }
 
-    def save(self, path: Path) -> None:
-        """Write readable YAML; floats keep every digit, so `load` gives the same map to the bit."""
-        content = {
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {
             "made_on": self.made_on,
             "frame": "robot base: x forward, y left, z up from the table",
             "units": "pixels (u, v) with centres at integers -> metres",
@@ -221,23 +220,32 @@ class ImageToRobot:
             "residuals": self.residuals.to_yaml(),
             "covariance": self.covariance,
         }
-        write_calibration(path, _KIND, content)
 
     @classmethod
-    def load(cls, path: Path, camera: CameraIdentity | None = None) -> ImageToRobot:
-        """Read what `save` wrote.
-
-        Raises `DataError` when the file is missing or is something else, `CalibrationError` when it is of another
-        camera or picture size than `camera`.
-        """
-        content = read_calibration(path, _KIND)
-        try:
-            loaded = _from_yaml(content)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise broken(path, _KIND, error) from error
-        if camera is not None:
-            loaded.camera.check(camera, f"the image-to-robot calibration in {path}")
-        return loaded
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`."""
+        camera, lens = CameraIdentity.from_yaml(content["camera"]), content["lens"]
+        origin = content["lens_origin"]
+        if origin not in ("calibrated", "estimated", "none"):
+            raise ValueError(f"lens_origin {origin}")
+        matrix = np.array(lens["matrix"], float).reshape(3, 3)
+        distortion = np.array(lens["distortion"], float).reshape(-1)
+        name, columns = ("projection", 4) if "projection" in content else ("homography", 3)
+        projection = np.array(content[name], float).reshape(3, columns)
+        numbers = 4 + len(distortion) + projection.size
+        return cls(
+            camera=camera,
+            lens=Intrinsics(*camera.size, matrix, distortion),
+            lens_origin=origin,
+            projection=projection,
+            height_m=float(content["height_m"]),
+            heights_m=tuple(float(height) for height in content["heights_m"]),
+            area=Rectangle(*map(float, content["area_m"]["x"]), *map(float, content["area_m"]["y"])),
+            covariance=np.array(content["covariance"], float).reshape(numbers, numbers),
+            residuals=Residuals.from_yaml(content["residuals"]),
+            pictures=tuple(str(name) for name in content["pictures"]),
+            made_on=str(content["made_on"]),
+        )
 
     def _on_plane(self, robot: ArrayLike) -> FloatArray:
         """`(N, 2)` -> `(N, 3)` metres."""
@@ -256,33 +264,6 @@ def compare(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> 
     area = area or shared_area(a.area, b.area)
     points = lattice(area, *_COMPARED)
     return Comparison(area, height, points, (b.to_robot(a.to_pixels(points)) - points) * 1000)
-
-
-def _from_yaml(content: dict[str, Any]) -> ImageToRobot:
-    camera, lens = CameraIdentity.from_yaml(content["camera"]), content["lens"]
-    origin = content["lens_origin"]
-    if origin not in ("calibrated", "estimated", "none"):
-        raise ValueError(f"lens_origin {origin}")
-    matrix = np.array(lens["matrix"], float).reshape(3, 3)
-    distortion = np.array(lens["distortion"], float).reshape(-1)
-    space = "projection" in content
-    projection = np.array(content["projection" if space else "homography"], float).reshape(
-        3, 4 if space else 3
-    )
-    numbers = 4 + len(distortion) + projection.size
-    return ImageToRobot(
-        camera=camera,
-        lens=Intrinsics(camera.width, camera.height, matrix, distortion),
-        lens_origin=origin,
-        projection=projection,
-        height_m=float(content["height_m"]),
-        heights_m=tuple(float(height) for height in content["heights_m"]),
-        area=Rectangle(*map(float, content["area_m"]["x"]), *map(float, content["area_m"]["y"])),
-        covariance=np.array(content["covariance"], float).reshape(numbers, numbers),
-        residuals=Residuals.from_yaml(content["residuals"]),
-        pictures=tuple(str(name) for name in content["pictures"]),
-        made_on=str(content["made_on"]),
-    )
 
 
 _LIMIT_M = 0.002

@@ -1,114 +1,41 @@
 """Where a camera that stands still is in the world, from a printed target of known size that lies there.
 
 The world is the target's own, turned so that z points up, out of the paper: its origin is the target's, x runs right
-along the print, y up it.
-
-Which of the two poses that explain a flat target is the true one: by the corners, or by depth.
+along the print, y up it. Of many pictures the corners are averaged, one by one, before the fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.calibration.files import CameraIdentity, broken, read_calibration, write_calibration
+from baggie.calibration.files import CameraCalibrated, CameraIdentity
 from baggie.calibration.pose import (
-    NOISE_COUNTS,
-    NOISE_PX,
+    MeasuredDepth,
     PoseFit,
     UncertainTransform,
     both_planar_poses,
     fit_pose,
+    odds,
     pose_from_yaml,
     residuals_px,
     rigid_from_yaml,
     uncertainty_to_yaml,
 )
-from baggie.calibration.world.still_frames import StillFrames, average
 from baggie.errors import CalibrationError
-from baggie.geometry import FloatArray, difference, invert_transform, transform_points
+from baggie.geometry import FloatArray, difference, invert_transform
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import MIN_CORNERS, Chessboard, Marker, Seen, Target
 
-_MAX_COUNTS = 20
-"""Corners of one print are off together; more than this many residuals are not counted as independent."""
-_DEPTH_TELLS = 1.3
-_MIN_DEPTHS = 20
-
-
-def odds(better_px: float, worse_px: float, corners: int) -> float:
-    """How many times likelier the pose with the smaller RMS error is, given the errors of both.
-
-    The ratio of the two likelihoods with the noise integrated out, its prior an inverse gamma distribution around what
-    corners usually are off: with 8 numbers seen and 6 fitted, a marker's own residuals say next to nothing about noise.
-    """
-    prior = NOISE_COUNTS * NOISE_PX**2
-    better, worse = (corners * error**2 + prior for error in (better_px, worse_px))
-    counts = min(2 * corners - 6 + NOISE_COUNTS, _MAX_COUNTS)
-    return float(min((worse / better) ** (counts / 2), 1e12))
-
-
-@dataclass(frozen=True)
-class MeasuredDepth:
-    """Depth over a flat target, measured."""
-
-    points: FloatArray
-    """`(M, 3)` metres, target frame, spread over it."""
-    depth_m: FloatArray
-    """`(M,)` along the optical axis."""
-
-    @classmethod
-    def over(
-        cls,
-        corners: FloatArray,
-        T_camera_target: FloatArray,
-        intrinsics: Intrinsics,
-        images: Sequence[NDArray[np.float32]],
-    ) -> MeasuredDepth | None:
-        """Between a target's corners `(N, 3)`: the median of the images `(H, W)`; None where too little is known."""
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        x, y = np.meshgrid(np.linspace(low[0], high[0], 20), np.linspace(low[1], high[1], 20))
-        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-        u, v = np.rint(intrinsics.project(transform_points(T_camera_target, points))).astype(int).T
-        inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
-        samples = np.array([image[v[inside], u[inside]] for image in images], float)
-        known = np.isfinite(samples) & (samples > 0)
-        enough = 2 * known.sum(axis=0) >= len(images)
-        if enough.sum() < _MIN_DEPTHS:
-            return None
-        depth = np.nanmedian(np.where(known, samples, np.nan)[:, enough], axis=0)
-        return cls(points[inside][enough], depth)
-
-    def ratio(self, T_camera_target: FloatArray) -> float:
-        """Measured over what the pose says, the median."""
-        return float(np.median(self.depth_m / self._expected(T_camera_target)))
-
-    def choose(self, pose: FloatArray, other: FloatArray) -> FloatArray | None:
-        """The one of two poses `T_camera_target` that depth supports; None where it cannot tell either."""
-        first, second = self._misfit(pose), self._misfit(other)
-        if max(first, second) < _DEPTH_TELLS * min(first, second):
-            return None
-        return pose if first < second else other
-
-    def _expected(self, pose: FloatArray) -> FloatArray:
-        return transform_points(pose, self.points)[:, 2]
-
-    def _misfit(self, pose: FloatArray) -> float:
-        """Relative, once a wrong scale is taken out: slant is what tells the two apart."""
-        relative = self.depth_m / self._expected(pose)
-        return float(np.median(np.abs(relative / np.median(relative) - 1)))
-
-
 T_WORLD_TARGET: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0])
 """`(4, 4)`: the target's frame, z into the paper, in a world with z up and the same origin and x."""
 
-_KIND = "camera-to-world"
+_MOVED_PX = 1.0
 _MAX_RMS_PX = 1.5
 _MIN_ANGLE_DEG = 15.0
 _EXACT_PX = 1e-9
@@ -132,10 +59,11 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class CameraToWorld:
+class CameraToWorld(CameraCalibrated):
     """The pose of a camera in the world, and what speaks for it."""
 
-    camera: CameraIdentity
+    KIND = "camera-to-world"
+
     pose: UncertainTransform
     """`T_world_camera`, metres; OpenCV's camera axes."""
     T_world_target: FloatArray
@@ -158,7 +86,7 @@ class CameraToWorld:
         """What a person or a script wants to know, ready for JSON."""
         return {
             "T_world_camera": self.pose.transform.tolist(),
-            "uncertainty": {"std_mm": self.pose.std_mm, "std_deg": self.pose.std_deg},
+            "uncertainty": self.pose.summary(),
             "target": self.target,
             "sag": asdict(self.sag),
             "rms_px": self.rms_px,
@@ -169,9 +97,9 @@ class CameraToWorld:
             "warnings": list(self.warnings),
         }
 
-    def save(self, path: Path) -> None:
-        """Write readable YAML. Raises `DataError` when it cannot be written."""
-        content = {
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {
             "camera": self.camera.to_yaml(),
             "frames": "world: z up, out of the paper; camera: x right, y down, z ahead",
             "units": "metres, radians, pixels",
@@ -179,35 +107,24 @@ class CameraToWorld:
             "T_world_target": self.T_world_target,
             "uncertainty": uncertainty_to_yaml(self.pose),
         }
-        write_calibration(path, _KIND, content)
 
     @classmethod
-    def load(cls, path: Path, camera: CameraIdentity | None = None) -> CameraToWorld:
-        """Read what `save` wrote; with `camera`, only a calibration of that one.
-
-        Raises `DataError` for a missing or damaged file, `CalibrationError` for another camera or resolution.
-        """
-        content = read_calibration(path, _KIND)
-        try:
-            ratio = content["depth_ratio"]
-            result = cls(
-                CameraIdentity.from_yaml(content["camera"]),
-                pose_from_yaml(content, "T_world_camera"),
-                rigid_from_yaml(content, "T_world_target"),
-                str(content["target"]),
-                tuple(Frame(**frame) for frame in content["pictures"]),
-                int(content["corners"]),
-                float(content["rms_px"]),
-                float(content["flipped_ratio"]),
-                None if ratio is None else float(ratio),
-                tuple(map(str, content["warnings"])),
-                Sag.from_yaml(content.get("sag")) or FLAT,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise broken(path, _KIND, error) from None
-        if camera is not None:
-            result.camera.check(camera, f"the calibration in {path}")
-        return result
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`."""
+        ratio = content["depth_ratio"]
+        return cls(
+            CameraIdentity.from_yaml(content["camera"]),
+            pose_from_yaml(content, "T_world_camera"),
+            rigid_from_yaml(content, "T_world_target"),
+            str(content["target"]),
+            tuple(Frame(**frame) for frame in content["pictures"]),
+            int(content["corners"]),
+            float(content["rms_px"]),
+            float(content["flipped_ratio"]),
+            None if ratio is None else float(ratio),
+            tuple(map(str, content["warnings"])),
+            Sag.from_yaml(content.get("sag")) or FLAT,
+        )
 
 
 def fit_camera_to_world(
@@ -362,3 +279,77 @@ def _warnings(
             f"the camera's pose is known to {pose.std_mm:.1f} mm and {pose.std_deg:.2f} degrees only "
             "(one standard deviation); use a larger target, or one nearer"
         )
+
+
+@dataclass(frozen=True)
+class StillFrames:
+    """Where the corners are in most frames."""
+
+    points: FloatArray
+    """`(N, 3)` metres, target frame: those seen in at least half of the frames used."""
+    pixels: FloatArray
+    """`(N, 2)`, the medians over these frames."""
+    moved_px: FloatArray
+    """`(F,)`: the median distance of each frame's corners from there."""
+    used: NDArray[np.bool_]
+    """`(F,)`: frames in which camera and target stood where they stand in most; the others are in no median."""
+
+
+@dataclass(frozen=True)
+class _Corner:
+    point: FloatArray
+    pixel: FloatArray
+    seen: int
+    """In how many frames."""
+
+
+def average(frames: Sequence[Seen], needed: int) -> StillFrames:
+    """Average frames, leaving out those in which the corners moved by more than a pixel.
+
+    Raises `CalibrationError` when half of them or more moved, or fewer than `needed` corners, or only corners on one
+    line, are seen in most.
+    """
+    used = np.ones(len(frames), np.bool_)
+    for _ in range(3):  # frames that moved have a part in the first medians only
+        middle = _medians([frame for frame, kept in zip(frames, used, strict=True) if kept])
+        moved = np.array([_moved(frame, middle) for frame in frames])
+        used = moved <= _MOVED_PX
+        if 2 * used.sum() <= len(frames):
+            raise CalibrationError(
+                f"expected the camera and the target to stand still, but the corners moved in {(~used).sum()} of "
+                f"{len(frames)} frames, by up to {moved.max():.1f} px; fix both in place and take the pictures again"
+            )
+    least = used.sum() / 2
+    kept = [corner for corner in middle.values() if corner.seen >= least]
+    points = np.array([corner.point for corner in kept]).reshape(-1, 3)
+    if len(kept) < needed:
+        raise CalibrationError(
+            f"expected at least {needed} corners that most frames show, got {len(kept)}; show more of it, nearer"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < 0.05 * spread[0]:
+        raise CalibrationError(
+            f"expected corners spread over the target, got {len(kept)} on one line; show more of its other side"
+        )
+    return StillFrames(points, np.array([corner.pixel for corner in kept]), moved, used)
+
+
+def _medians(frames: Sequence[Seen]) -> dict[int, _Corner]:
+    ids = np.concatenate([frame.ids for frame in frames])
+    points = np.concatenate([frame.points for frame in frames])
+    pixels = np.concatenate([frame.pixels for frame in frames])
+    corners = {}
+    for number in np.unique(ids):
+        here = ids == number
+        corners[int(number)] = _Corner(points[here][0], np.median(pixels[here], axis=0), int(here.sum()))
+    return corners
+
+
+def _moved(frame: Seen, middle: dict[int, _Corner]) -> float:
+    """Pixels; infinite where a frame shows none of the others' corners."""
+    shared = [
+        np.linalg.norm(pixel - middle[int(number)].pixel)
+        for number, pixel in zip(frame.ids, frame.pixels, strict=True)
+        if int(number) in middle
+    ]
+    return float(np.median(shared)) if shared else float("inf")

@@ -1,24 +1,25 @@
-"""Where the world is for a robot, from points of it that the arm's tool was led or driven to.
+"""Where the world is for a robot, from points of it that the arm's tool was led or driven to; and so the camera.
 
 Either its origin, a point on its x axis and one on its y axis, or any points whose place in the world is known. The
 published system builds its matrix from the three points' differences as they are, so that its third column is no
 rotation's; here it is a proper one, right-handed.
+
+With it a camera that knows the world is somewhere for the robot: the two calibrations composed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
-from baggie.calibration.files import broken, read_calibration, write_calibration
-from baggie.calibration.pose import UncertainTransform, pose_from_yaml, uncertainty_to_yaml
+from baggie.calibration.files import Calibration, CameraCalibrated, CameraIdentity
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
+from baggie.calibration.world.camera_to_world import CameraToWorld
 from baggie.calibration.world.touches import (
     agreeing,
     axes_covariance,
@@ -30,12 +31,11 @@ from baggie.calibration.world.touches import (
     spread,
 )
 from baggie.errors import CalibrationError
-from baggie.geometry import FloatArray, transform_points
+from baggie.geometry import FloatArray, difference, transform_points
 
 TOUCH_STD_M = 0.0005
 """Per axis: how far off a careful touch with a pointed tool is."""
 
-_KIND = "robot-to-world"
 _MIN_LENGTH_M, _SHORT_M = 0.05, 0.15
 _MAX_OFF_DEG, _WARN_OFF_DEG = 20.0, 2.0
 _MAX_SCALE_OFF = 0.005
@@ -61,8 +61,10 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class RobotToWorld:
+class RobotToWorld(Calibration):
     """The pose of a robot's base in the world, and what speaks for it."""
+
+    KIND = "robot-to-world"
 
     pose: UncertainTransform
     """`T_world_base`, metres."""
@@ -77,40 +79,100 @@ class RobotToWorld:
         """What a person or a script wants to know, ready for JSON."""
         return {
             "T_world_base": self.pose.transform.tolist(),
-            "uncertainty": {"std_mm": self.pose.std_mm, "std_deg": self.pose.std_deg},
+            "uncertainty": self.pose.summary(),
             "perpendicular_off_deg": self.perpendicular_off_deg,
             "scale": self.scale,
             "touches": [asdict(touch) for touch in self.touches],
             "warnings": list(self.warnings),
         }
 
-    def save(self, path: Path) -> None:
-        """Write readable YAML. Raises `DataError` when it cannot be written."""
-        content = {
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {
             "frames": "world: as touched; base: x forward, y left, z up",
             "units": "metres, radians",
             **self.summary(),
             "uncertainty": uncertainty_to_yaml(self.pose),
         }
-        write_calibration(path, _KIND, content)
 
     @classmethod
-    def load(cls, path: Path) -> RobotToWorld:
-        """Read what `save` wrote. Raises `DataError` for a missing or damaged file."""
-        content = read_calibration(path, _KIND)
-        try:
-            return cls(
-                pose_from_yaml(content, "T_world_base"),
-                tuple(
-                    Touch(**{**touch, "base_m": tuple(touch["base_m"]), "world_m": tuple(touch["world_m"])})
-                    for touch in content["touches"]
-                ),
-                content["perpendicular_off_deg"],
-                content["scale"],
-                tuple(map(str, content["warnings"])),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise broken(path, _KIND, error) from None
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`."""
+        return cls(
+            pose_from_yaml(content, "T_world_base"),
+            tuple(
+                Touch(**{**touch, "base_m": tuple(touch["base_m"]), "world_m": tuple(touch["world_m"])})
+                for touch in content["touches"]
+            ),
+            content["perpendicular_off_deg"],
+            content["scale"],
+            tuple(map(str, content["warnings"])),
+        )
+
+
+@dataclass(frozen=True)
+class CameraToRobot(CameraCalibrated):
+    """The pose of a camera that stands still beside a robot."""
+
+    KIND = "camera-to-robot"
+
+    pose: UncertainTransform
+    """`T_base_camera`, metres; OpenCV's camera axes."""
+    source: str
+    """How it was found, in words."""
+
+    def summary(self) -> dict[str, Any]:
+        """What a person or a script wants to know, ready for JSON."""
+        return {
+            "T_base_camera": self.pose.transform.tolist(),
+            "uncertainty": self.pose.summary(),
+            "source": self.source,
+        }
+
+    def to_yaml(self) -> dict[str, Any]:
+        """As it stands in a file."""
+        return {
+            "camera": self.camera.to_yaml(),
+            "frames": "base: x forward, y left, z up; camera: x right, y down, z ahead",
+            "units": "metres, radians",
+            **self.summary(),
+            "uncertainty": uncertainty_to_yaml(self.pose),
+        }
+
+    @classmethod
+    def from_yaml(cls, content: Mapping[str, Any]) -> Self:
+        """The inverse of `to_yaml`."""
+        camera = CameraIdentity.from_yaml(content["camera"])
+        return cls(camera, pose_from_yaml(content, "T_base_camera"), str(content["source"]))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far apart two calibrations of the same camera and robot are."""
+
+    mm: float
+    """Between the two positions of the camera."""
+    deg: float
+    """Between the two orientations."""
+    agree: bool
+    """Whether that is within what both state, with 95% probability, their errors independent."""
+
+
+def compose(camera_to_world: CameraToWorld, robot_to_world: RobotToWorld) -> CameraToRobot:
+    """`T_base_camera` = inverse(`T_world_base`) @ `T_world_camera`, the uncertainty of both in it.
+
+    Both must have been made in the same world: the arm touched the target that the camera saw, in the same place.
+    """
+    pose = robot_to_world.pose.inverse() @ camera_to_world.pose
+    return CameraToRobot(camera_to_world.camera, pose, "camera-to-world and robot-to-world composed")
+
+
+def compare(a: CameraToRobot, b: CameraToRobot) -> Comparison:
+    """Compare two calibrations. Raises `CalibrationError` when they are of different cameras or resolutions."""
+    a.camera.check(b.camera, "the first calibration")
+    metres, radians = difference(a.pose.transform, b.pose.transform)
+    together = UncertainTransform(a.pose.transform, a.pose.covariance + b.pose.covariance)
+    return Comparison(metres * 1000, float(np.degrees(radians)), together.holds(b.pose.transform))
 
 
 def fit_from_axes(
@@ -179,7 +241,7 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
         variance = max(variance, touch_std_m**2)
     else:
         # Known from few touches: as much wider as makes the 95% region of `holds` that of an F distribution.
-        variance *= 6 * f_distribution.ppf(0.95, 6, spare) / chi2.ppf(0.95, 6)
+        variance *= 6 * fdtri(6, spare, 0.95) / squared_radius(0.95)
     covariance = rigid_covariance(T_world_base, base[used], np.sqrt(variance))
     pose = UncertainTransform(T_world_base, covariance)
     touches = tuple(_touches(world, base, used, T_world_base))

@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from baggie.calibration.pose import UncertainTransform
 from baggie.geometry import FloatArray, rigid
@@ -65,7 +65,7 @@ def agreeing(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
         together = float((_off(a, b, np.flatnonzero(wider))[wider] ** 2).sum())
         spare = 3 * int(kept.sum()) - 7
         ratio = ((together - within) / 3) / max(within / spare, _ROUNDING_M**2)
-        if off[nearest] > _FLOOR_M and count * f_distribution.sf(ratio, 3, spare) < _FALSE_ALARMS:
+        if off[nearest] > _FLOOR_M and count * fdtrc(3, spare, ratio) < _FALSE_ALARMS:
             break
         kept = wider
     return kept

@@ -83,7 +83,6 @@ STAND_INS = (
     # What somebody else has: a recording, a trained policy.
     StandIn(r"--from recording\b", "--from hand-eye"),
     StandIn(r'"RUN"', '"runs/pyramid"'),
-    StandIn(r"--policy RUN --picture photo.png", "--policy demo/keypoint --picture docs/media/picture.jpg"),
 )
 
 ANSWERS: Mapping[str, tuple[str, ...]] = {
@@ -113,7 +112,7 @@ GIVEN: Mapping[str, str] = {
     "goal": _RECORDED + "goal = goal_of(recorded)",
     "policy": "import baggie; policy = baggie.load_policy('runs/keypoint')",
     "open_arm": "from my_lab.my_arm import open_arm",
-    "obs": "import sys; sys.path.append('tests'); import ravens_scene; obs = ravens_scene.observation(0)",
+    "obs": "import sys; sys.path.append('tests'); from helpers import ravens_scene; obs = ravens_scene.observation(0)",
     "info": "info = {}",
 }
 """What the reader of a program has, and the lines that make it."""
@@ -150,4 +149,6 @@ def taken_for_granted(program: str) -> set[str]:
             made |= {name.asname or name.name.split(".")[0] for name in node.names}
         elif isinstance(node, ast.FunctionDef | ast.ClassDef):
             made.add(node.name)
+        elif isinstance(node, ast.arg):
+            made.add(node.arg)
     return used - made - set(vars(builtins))

@@ -17,7 +17,7 @@ from baggie.ravens.format import (
     planar_to_pose,
 )
 from baggie.types import Image, Observation
-from ray_caster import Box, look
+from helpers.ray_caster import Box, look
 
 SIDE_M = 0.04
 COLORS = {"red": (200, 40, 40), "blue": (40, 60, 210), "green": (40, 170, 60)}

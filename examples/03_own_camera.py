@@ -1,11 +1,14 @@
-"""A camera of your own: copy this file, and put your camera where the imaginary one is. Guide: docs/cameras.md.
+"""A camera of your own: copy this file as `own_camera.py`, and put your camera where the imaginary one is.
 
-    python examples/own_camera.py      # looks twice, and checks that it keeps the contract
-
-In a workcell file, with this file beside it:
+Shows the three attributes and the one method of a camera, and the check that it keeps its promises. Guide:
+docs/cameras.md. In a workcell file, with the copy beside it:
 
     arm: {kind: franka, host: 172.16.0.2}
     camera: {kind: python, factory: "own_camera:open_camera", exposure_ms: 8}
+
+Looks twice, and prints what the check found out:
+
+    the camera keeps the contract
 """
 
 from __future__ import annotations

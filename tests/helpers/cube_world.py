@@ -16,7 +16,7 @@ import numpy as np
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, wrap_angle
 from baggie.robot.arm import ArmInfo
 from baggie.types import Intrinsics, Observation
-from fake_workcell import PARKED, draw_polygon, tilted_camera
+from helpers.fake_workcell import PARKED, draw_polygon, tilted_camera
 
 SIDE_M = 0.065
 RED = (196, 40, 44)

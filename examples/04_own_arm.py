@@ -1,11 +1,17 @@
-"""An arm of your own: copy this file, and put your robot where the imaginary one is. Guide: docs/own-arm.md.
+"""An arm of your own: copy this file as `own_arm.py`, and put your robot where the imaginary one is.
 
-    python examples/own_arm.py      # moves the imaginary one, and checks that it keeps the contract
-
-In a workcell file, with this file beside it:
+Shows the eight methods that everything above a workcell needs of an arm, and the check that they keep their promises.
+It is longer than the other examples because it is the whole of it. Guide: docs/own-arm.md. In a workcell file, with the
+copy beside it:
 
     arm: {kind: python, factory: "own_arm:open_arm", reach_m: 0.8}
     camera: 0
+
+Moves the imaginary arm, and prints what the check found out:
+
+    the arm keeps the contract
+    force: not tried; lay a firm thing under the middle and give firm_height_m
+    tool x: not tried; give tool_x, which says where it is seen to point
 """
 
 from __future__ import annotations
