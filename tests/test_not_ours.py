@@ -126,6 +126,9 @@ def test_a_copied_log_of_a_training_shows_no_step_twice(tmp_path: Path) -> None:
         with SummaryWriter(str(run), purge_step=begins) as board:
             for step in range(begins, begins + 5):
                 board.add_scalar("train/loss", shift + step, step)
+        (log,) = (each for each in run.glob("events*") if ".tfevents.00" not in each.name)
+        began = log.name.split(".tfevents.")[1].split(".")[0]
+        log.rename(run / log.name.replace(began, f"00{begins}"))  # seconds apart, as two trainings are
     (run / "config.yaml").write_text("policy: keypoint\n")
     (run / "metrics.json").write_text("{}")
     for events in list(run.glob("events*")):

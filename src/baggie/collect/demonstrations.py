@@ -136,6 +136,12 @@ def open_demonstrator(
     return show
 
 
+def size_of(task: Task) -> tuple[int, int]:
+    """`(width, height)` pixels at which a task's pictures are recorded in the simulator."""
+    rows, columns = Grid().shape
+    return (columns, rows) if task.view == "height-map" else recorded_size(PICTURE_SIZE)
+
+
 def record_demonstrations(
     options: CollectOptions,
     open_cell: OpenDemonstratorCell = open_simulated_demonstrator,
@@ -150,8 +156,8 @@ def record_demonstrations(
     Raises `BaggieError` when the disk is full or the folder holds another recording, and `KeyboardInterrupt`, with how
     to go on as its message, when stopped; what was recorded before stays, and the same command goes on from there.
     """
-    task, (rows, columns) = TASKS[options.task], Grid().shape
-    size = (columns, rows) if task.view == "height-map" else recorded_size(PICTURE_SIZE)
+    task = TASKS[options.task]
+    size = size_of(task)
     recording = Recording(task.instruction, options.seed, options.cell, size, options.style, depth=task.depth)
     with DatasetWriter(
         options.out,

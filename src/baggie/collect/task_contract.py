@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.collect.demonstrations import demonstrate
+from baggie.collect.demonstrations import demonstrate, size_of
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, open_dataset
 from baggie.geometry import PlanarPose
@@ -17,8 +17,6 @@ from baggie.types import Attempt, Outcome, PickPlace
 from baggie.workcell.simulated import SimulatedWorkcell
 
 _NOWHERE = np.full((4, 2), np.nan)
-_SMALL = (160, 90)
-"""`(width, height)` pixels at which attempts are kept."""
 _TABLE_X_M, _TABLE_Y_M = (0.0, 1.0), (-0.7, 0.7)
 """Where things lie on the table, robot base frame."""
 
@@ -96,7 +94,7 @@ def _check_played(cell: SimulatedWorkcell, folder: Path) -> None:
 
 
 def _recording(task: Task) -> Recording:
-    return Recording(task.instruction, seed=0, cell=0, size=_SMALL)
+    return Recording(task.instruction, seed=0, cell=0, size=size_of(task))
 
 
 def _moved(cell: SimulatedWorkcell) -> Attempt:
