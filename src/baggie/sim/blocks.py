@@ -170,6 +170,8 @@ class RigidBody:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, thing: Block | Fixture) -> None:
         self._model, self._data = model, data
         self.thing = thing
+        self.geoms = _geoms(model, thing.name)
+        """Numbers of its boxes in the model; looked up once, as every step asks how high it reaches."""
 
     def pose(self) -> FloatArray:
         """`T_base_body` `(4, 4)` now."""
@@ -202,11 +204,6 @@ class RigidBody:
     def carry_along(self, turn: Rotation, shift: FloatArray) -> None:
         """Move it with the table: turned about the base frame's origin and then shifted by `(3,)` metres."""
         self.put(rigid(turn.as_matrix(), shift) @ self.pose())
-
-    @property
-    def geoms(self) -> list[int]:
-        """Numbers of its boxes in the model."""
-        return _geoms(self._model, self.thing.name)
 
     def _standing(self, pose: PlanarPose) -> FloatArray:
         height = self.thing.size_m[2] / 2 if isinstance(self.thing, Block) else 0.0
