@@ -21,7 +21,8 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 
 SMALL = Block("small block", (0.04, 0.04, 0.04), COLORS["blue"])
@@ -32,7 +33,7 @@ ON_TOP = Slot(PlanarPose(0.0, 0.0), 0.03 + 0.02, frame="large block")
 
 def draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     """Anywhere on the table, apart; what counts is the small block's place on the large one."""
-    return Scene((SMALL, LARGE), scatter(RADII_M, rng), (Stage(("small block",), (ON_TOP,), weight=1.0),))
+    return Scene((SMALL, LARGE), scatter(RADII_M, rng), (InSlots(("small block",), (ON_TOP,), weight=1.0),))
 
 
 TASK = Task(

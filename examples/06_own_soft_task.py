@@ -20,7 +20,8 @@ from baggie.geometry import PlanarPose
 from baggie.seeds import first_fit
 from baggie.sim.bag import FULL_HEIGHT_M, Bag
 from baggie.sim.variety import random_pose
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 
 BAGS = (
@@ -43,7 +44,7 @@ def draw(rng: np.random.Generator, setting: Setting) -> Scene:
         assert pose is not None
         poses[bag.name] = pose
         taken.append(pose)
-    stages = [Stage((bag.name,), (slot,), weight=0.5) for bag, slot in zip(BAGS, SLOTS, strict=True)]
+    stages = [InSlots((bag.name,), (slot,), weight=0.5) for bag, slot in zip(BAGS, SLOTS, strict=True)]
     return Scene(BAGS, poses, tuple(stages))
 
 

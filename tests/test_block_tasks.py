@@ -12,8 +12,9 @@ from baggie.registry import TASKS
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
 from baggie.tasks.demonstrator import carry, next_action
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import RavensScore, all_filled, filled
-from baggie.tasks.task import Slot, Stage, Task
+from baggie.tasks.scoring import Score, all_filled, filled
+from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.task import Task
 from baggie.types import PickPlace
 from helpers.ideal_arm import carried, poses_of
 
@@ -50,7 +51,7 @@ def test_a_scene_is_without_collisions_in_view_and_in_reach(task: Task, seed: in
         along = np.concatenate(outlines)[:, axis]
         assert low + MARGIN_M <= along.min()
         assert along.max() <= high - MARGIN_M
-    ends = [slot.T_base_slot(poses) for stage in scene.stages for slot in stage.slots]
+    ends = [slot.T_base_slot(poses) for stage in scene.conditions for slot in stage.slots]
     starts = [poses[block.name] for block in scene.blocks]
     assert all(REACH.contains(T[0, 3], T[1, 3]) for T in ends + starts)
 
@@ -58,21 +59,21 @@ def test_a_scene_is_without_collisions_in_view_and_in_reach(task: Task, seed: in
 @given(task=tasks, seed=seeds)
 def test_a_scene_has_what_its_task_promises(task: Task, seed: int) -> None:
     scene = task.draw(np.random.default_rng(seed))
-    assert sum(stage.weight for stage in scene.stages) == pytest.approx(1.0)
+    assert sum(stage.weight for stage in scene.conditions) == pytest.approx(1.0)
     assert {thing.name for thing in scene.things} <= {thing.name for thing in task.things}
     assert set(scene.poses) == {thing.name for thing in scene.things}
-    for stage in scene.stages:
+    for stage in scene.conditions:
         assert len(stage.slots) >= len(stage.blocks) > 0
         assert set(stage.blocks) <= set(scene.poses)
-    assert sum(len(stage.blocks) for stage in scene.stages) <= task.max_steps
+    assert sum(len(stage.blocks) for stage in scene.conditions) <= task.max_steps
 
 
 @settings(max_examples=30, deadline=None)  # draws a scene and plays it to its end
 @given(task=tasks, seed=seeds)
 def test_the_demonstrator_needs_one_step_a_block_and_turns_the_wrist_little(task: Task, seed: int) -> None:
     scene = task.draw(np.random.default_rng(seed))
-    poses, score, steps, heights = poses_of(scene), RavensScore(scene.stages), 0, [0.0]
-    while (action := next_action(scene.stages, poses)) is not None:
+    poses, score, steps, heights = poses_of(scene), Score(scene.conditions), 0, [0.0]
+    while (action := next_action(scene.conditions, poses)) is not None:
         assert action.pick.yaw == 0.0
         assert abs(action.place.yaw) <= np.pi / task.object_symmetry + 1e-9
         before, poses = poses, carried(action, scene, poses)
@@ -80,31 +81,31 @@ def test_the_demonstrator_needs_one_step_a_block_and_turns_the_wrist_little(task
         heights.append(poses[moved][2, 3])
         assert score.count(poses) > 0.0
         steps += 1
-    assert steps == sum(len(stage.blocks) for stage in scene.stages)
+    assert steps == sum(len(stage.blocks) for stage in scene.conditions)
     assert heights == sorted(heights)  # nothing goes where nothing is yet to rest on
     assert score.done
     assert score.total == 1.0
-    assert all_filled(scene.stages, poses)
+    assert all_filled(scene.conditions, poses)
 
 
 def test_stages_count_by_their_weights() -> None:
     scene = pyramid.draw(np.random.default_rng(0))
-    poses, score, rewards = poses_of(scene), RavensScore(scene.stages), []
-    while (action := next_action(scene.stages, poses)) is not None:
+    poses, score, rewards = poses_of(scene), Score(scene.conditions), []
+    while (action := next_action(scene.conditions, poses)) is not None:
         poses = carried(action, scene, poses)
         rewards.append(score.count(poses))
     np.testing.assert_allclose(rewards, [1 / 6] * 5 + [1 / 6])
-    np.testing.assert_allclose([stage.weight for stage in scene.stages], [1 / 2, 1 / 3, 1 / 6])
+    np.testing.assert_allclose([stage.weight for stage in scene.conditions], [1 / 2, 1 / 3, 1 / 6])
 
 
-STAGE = Stage(("a", "b"), (Slot(PlanarPose(0.4, 0.0, 0.3), 0.02), Slot(PlanarPose(0.4, 0.2), 0.02)), 1.0)
+STAGE = InSlots(("a", "b"), (Slot(PlanarPose(0.4, 0.0, 0.3), 0.02), Slot(PlanarPose(0.4, 0.2), 0.02)), 1.0)
 FAR = PlanarPose(0.6, -0.3).upright(0.02)
 SLOT = PlanarPose(0.4, 0.0, 0.3)
 
 
 def reward_at(T: FloatArray, symmetry: int = 4) -> float:
-    stage = Stage(STAGE.blocks, STAGE.slots, 1.0, symmetry)
-    return RavensScore([stage]).count({"a": T, "b": FAR})
+    stage = InSlots(STAGE.blocks, STAGE.slots, 1.0, symmetry)
+    return Score([stage]).count({"a": T, "b": FAR})
 
 
 @given(
@@ -136,7 +137,7 @@ def test_what_ravens_does_not_see_is_no_strict_success() -> None:
         {"a": on_its_side},
         {"b": PlanarPose(SLOT.x + 0.005, SLOT.y, SLOT.yaw).upright(0.02)},  # two in one slot
     ):
-        score = RavensScore([STAGE])
+        score = Score([STAGE])
         assert score.count(good | wrong) == 1.0
         assert score.done
         assert not all_filled([STAGE], good | wrong)
@@ -145,13 +146,13 @@ def test_what_ravens_does_not_see_is_no_strict_success() -> None:
 
 def test_two_near_one_slot_are_shared_out_where_that_is_possible() -> None:
     near = (Slot(PlanarPose(0.4, 0.0), 0.02), Slot(PlanarPose(0.4, 0.012), 0.02))
-    stage = Stage(("a", "b"), near, 1.0)
+    stage = InSlots(("a", "b"), near, 1.0)
     poses = {"a": PlanarPose(0.4, 0.006).upright(0.02), "b": PlanarPose(0.4, -0.004).upright(0.02)}
     assert filled(stage, poses) == {"a": 1, "b": 0}
 
 
 def test_what_leaves_its_slot_is_taken_back_until_the_stage_is_full() -> None:
-    score = RavensScore([STAGE])
+    score = Score([STAGE])
     at, beside = {"a": SLOT.upright(0.02), "b": FAR}, {"a": FAR, "b": FAR}
     assert score.count(at) == 0.5
     assert score.count(at) == 0.0
@@ -165,15 +166,15 @@ def test_what_leaves_its_slot_is_taken_back_until_the_stage_is_full() -> None:
 def test_a_block_of_another_stage_earns_nothing_in_a_slot() -> None:
     scene = pyramid.draw(np.random.default_rng(1))
     poses = poses_of(scene)
-    bottom, middle = scene.stages[0].slots[0].T_base_slot(poses), scene.stages[1].slots[0].T_base_slot(poses)
-    assert RavensScore(scene.stages).count(poses | {"red": bottom}) == 0.0
-    assert RavensScore(scene.stages).count(poses | {"purple": middle}) == 0.0
-    assert RavensScore(scene.stages).count(poses | {"purple": bottom}) == pytest.approx(1 / 6)
+    bottom, middle = scene.conditions[0].slots[0].T_base_slot(poses), scene.conditions[1].slots[0].T_base_slot(poses)
+    assert Score(scene.conditions).count(poses | {"red": bottom}) == 0.0
+    assert Score(scene.conditions).count(poses | {"purple": middle}) == 0.0
+    assert Score(scene.conditions).count(poses | {"purple": bottom}) == pytest.approx(1 / 6)
 
 
 def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
     scene = TASKS["align-box-corner"].draw(np.random.default_rng(3))
-    poses, (stage,) = poses_of(scene), scene.stages
+    poses, (stage,) = poses_of(scene), scene.conditions
     (box,) = scene.blocks
     # One of its corners is as near to the marked one as the gap allows, its sides along the bars.
     for slot in stage.slots:
@@ -188,7 +189,7 @@ def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
 
 def test_the_l_lies_in_its_outline_with_three_millimetres_of_play_one_way_round() -> None:
     scene = TASKS["block-insertion"].draw(np.random.default_rng(3))
-    poses, (stage,) = poses_of(scene), scene.stages
+    poses, (stage,) = poses_of(scene), scene.conditions
     (ell,), (outline,) = scene.blocks, scene.fixtures
     (slot,) = stage.slots
     T = slot.T_base_slot(poses)
@@ -219,7 +220,7 @@ def test_bowls_hold_a_block_at_any_yaw() -> None:
 def test_what_looks_alike_is_taken_from_left_to_right() -> None:
     for seed in range(20):
         scene = TASKS["place-red-in-green"].draw(np.random.default_rng(seed))
-        (stage,) = scene.stages
+        (stage,) = scene.conditions
         for names in (stage.blocks, [slot.frame for slot in stage.slots]):
             along = [scene.poses[name].y for name in names if name]
             assert along == sorted(along, reverse=True)

@@ -36,7 +36,7 @@ from baggie.options.evaluating import ValidateOptions
 from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
 from baggie.tasks.demonstrator import varied_action
-from baggie.tasks.scoring import RavensScore
+from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from helpers.ideal_arm import away, carried, poses_of
 
@@ -362,7 +362,7 @@ def seen_from_above(scene, poses) -> Observation:
 def test_maps_say_of_any_plan_what_the_scene_says(name):
     """Where neither the scene nor a map is at the edge of what counts; of slots that stay free maps know nothing."""
     scene, rng = TASKS[name].draw(np.random.default_rng(3)), np.random.default_rng(5)
-    there, score, done, attempts, stood = poses_of(scene), RavensScore(scene.stages), [], [], []
+    there, score, done, attempts, stood = poses_of(scene), Score(scene.conditions), [], [], []
     while (action := varied_action(scene, there, generator(STYLE, 8, 0, len(done)))) is not None:
         after = carried(action, scene, there)
         earned = score.count(after)
@@ -376,7 +376,7 @@ def test_maps_say_of_any_plan_what_the_scene_says(name):
             )
         )  # fmt: skip
         there = after
-    symmetry, slots_left_over = scene.stages[0].symmetry, name == "place-red-in-green"
+    symmetry, slots_left_over = scene.conditions[0].symmetry, name == "place-red-in-green"
     things = [carried_in(attempt) for attempt in attempts]
     assert all(things)
     by_maps = choices_of_episode(

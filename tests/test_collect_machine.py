@@ -19,7 +19,7 @@ from baggie.collect.machine import (
     MAX_RESCUES,
     MAX_TRIES,
     MIN_DISTANCE_M,
-    State,
+    Phase,
     Stopped,
     Turn,
     false_45,
@@ -132,27 +132,27 @@ def test_the_nearest_grip_is_on_the_edge_or_nowhere():
 
 def test_look_takes_a_picture_with_the_arm_parked(turn):
     turn.cell.arm.move_to(PlanarPose(0.5, 0.0).at_height(0.2), 0.1)
-    assert machine.look(turn) is State.FIND
+    assert machine.look(turn) is Phase.FIND
     assert turn.before is not None
     assert turn.cell.arm.pose() == turn.cell.arm.park()
 
 
 def test_find_gives_the_pose_in_the_robots_frame(turn):
     machine.look(turn)
-    assert machine.find(turn) is State.PLAN
+    assert machine.find(turn) is Phase.PLAN
     assert turn.pose.distance(turn.cell.bag) < 0.005
 
 
 def test_find_without_a_bag_recovers(turn):
     turn.cell.hidden = True
     machine.look(turn)
-    assert machine.find(turn) is State.RECOVER
+    assert machine.find(turn) is Phase.RECOVER
     assert "not in sight" in turn.trouble
 
 
 def test_plan_squares_the_bag_and_carries_it_far(turn):
     turn.cell.bag = PlanarPose(0.5, 0.0, 0.3)
-    assert machine.plan(seen(turn)) is State.MOVE
+    assert machine.plan(seen(turn)) is Phase.MOVE
     assert turn.action.pick.yaw == pytest.approx(0.3, abs=0.05)
     assert turn.action.place.yaw == 0.0
     assert turn.action.place.distance(turn.action.pick) >= MIN_DISTANCE_M
@@ -202,7 +202,7 @@ def test_after_a_miss_the_other_reading_of_45_degrees_is_tried(
 @pytest.mark.parametrize("degrees", range(-90, 90, 15))
 def test_plan_grips_a_long_bag_across_its_narrow_side_at_any_angle(long_turn, degrees):
     long_turn.cell.bag = PlanarPose(0.52, -0.13, math.radians(degrees))
-    assert machine.plan(seen(long_turn)) is State.MOVE
+    assert machine.plan(seen(long_turn)) is Phase.MOVE
     # The fingers close along the tool's y, so its x is along the bag.
     off = math.remainder(long_turn.action.pick.yaw - math.radians(degrees), math.pi)
     assert abs(off) < math.radians(4)
@@ -213,7 +213,7 @@ def test_plan_grips_a_long_bag_across_its_narrow_side_at_any_angle(long_turn, de
 def test_plan_grips_a_bag_just_outside_by_its_near_side(turn):
     limits = turn.cell.settings.limits.workspace
     turn.cell.bag = PlanarPose(limits.x_max + 0.02, 0.0)
-    assert machine.plan(seen(turn)) is State.MOVE
+    assert machine.plan(seen(turn)) is Phase.MOVE
     assert turn.action.pick.x == limits.x_max
 
 
@@ -221,24 +221,24 @@ def test_plan_grips_what_is_hard_by_its_middle_or_not_at_all(turn: Turn) -> None
     limits = turn.cell.settings.limits.workspace
     turn.cell.settings = replace(turn.cell.settings, object_hard=True)
     turn.cell.bag = PlanarPose(limits.x_max - 0.02, 0.0)
-    assert machine.plan(seen(turn)) is State.MOVE
+    assert machine.plan(seen(turn)) is Phase.MOVE
     turn.cell.bag = PlanarPose(limits.x_max + 0.02, 0.0)
-    assert machine.plan(seen(turn)) is State.ASK
+    assert machine.plan(seen(turn)) is Phase.ASK
 
 
 def test_plan_asks_for_a_bag_out_of_reach(turn):
     turn.cell.bag = PlanarPose(turn.cell.settings.limits.workspace.x_max + 0.1, 0.0)
-    assert machine.plan(seen(turn)) is State.ASK
+    assert machine.plan(seen(turn)) is Phase.ASK
     assert "out of reach" in turn.trouble
 
 
 @pytest.mark.parametrize(
     ("event", "after", "failure"),
     [
-        (None, State.CHECK, None),
-        ("missed-grasp", State.RETRY, "missed-grasp"),
-        ("unreachable", State.RETRY, "unreachable"),
-        ("dropped", State.CHECK, "dropped"),
+        (None, Phase.CHECK, None),
+        ("missed-grasp", Phase.RETRY, "missed-grasp"),
+        ("unreachable", Phase.RETRY, "unreachable"),
+        ("dropped", Phase.CHECK, "dropped"),
     ],
 )
 def test_move_reports_what_happened(turn, event, after, failure):
@@ -253,23 +253,23 @@ def test_retry_looks_again_up_to_three_tries(turn):
     turn.looks = 2
     for tries in range(1, MAX_TRIES):
         turn.tries = tries
-        assert machine.retry(turn) is State.LOOK
+        assert machine.retry(turn) is Phase.LOOK
     turn.tries = MAX_TRIES
-    assert machine.retry(turn) is State.CHECK
+    assert machine.retry(turn) is Phase.CHECK
     assert turn.looks == 0
 
 
 def test_recover_looks_again_and_then_asks(turn):
     turn.looks = MAX_LOOKS - 1
-    assert machine.recover(turn) is State.LOOK
+    assert machine.recover(turn) is Phase.LOOK
     turn.looks = MAX_LOOKS
-    assert machine.recover(turn) is State.ASK
+    assert machine.recover(turn) is Phase.ASK
 
 
 def test_a_cell_helps_itself_a_few_times_and_then_nobody_does(turn):
     for _ in range(MAX_RESCUES):
-        assert machine.ask(turn) is State.LOOK
-    assert machine.ask(turn) is State.STOPPED
+        assert machine.ask(turn) is Phase.LOOK
+    assert machine.ask(turn) is Phase.STOPPED
     assert turn.cell.rescues == MAX_RESCUES
 
 
@@ -277,8 +277,8 @@ def test_a_person_is_asked_where_the_cell_does_not_help_itself_as_long_as_anybod
     turn.operator = person = Scripted(*[""] * 9)
     turn.cell.helps, turn.trouble = False, "the bag is gone"
     for _ in range(9):
-        assert machine.ask(turn) is State.LOOK
-    assert machine.ask(turn) is State.STOPPED
+        assert machine.ask(turn) is Phase.LOOK
+    assert machine.ask(turn) is Phase.STOPPED
     assert person.asked == ["the bag is gone"] * 10
 
 
@@ -293,7 +293,7 @@ def test_check_looks_where_the_bag_came_to_lie(turn, where, failure):
     turn.cell.bag = {"place": place, "start": start, "elsewhere": elsewhere}.get(where, start)
     turn.cell.hidden = where == "nowhere"
     turn.outcome, turn.tries = Outcome(turn.action), 2
-    assert machine.check(turn) is State.RECORD
+    assert machine.check(turn) is Phase.RECORD
     assert turn.outcome.failure == failure
     assert turn.outcome.tries == 2
     assert turn.after is not None

@@ -12,7 +12,8 @@ import baggie
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import CollectOptions, collect
-from baggie.collect.machine import at_outline, detect
+from baggie.workcell.by_color import detect
+from baggie.workcell.workcell import at_outline
 from baggie.commissioning.image_to_robot import grid
 from baggie.data import open_dataset
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate

@@ -12,7 +12,8 @@ import pytest
 
 import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
-from baggie.collect.machine import at_outline, detect
+from baggie.workcell.by_color import detect
+from baggie.workcell.workcell import at_outline
 from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import bag_place as closed_loop_of_bags
 from baggie.evaluation.closed_loop import EvaluateOptions

@@ -23,7 +23,7 @@ from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.blocks import Block
 from baggie.tasks import demonstrator as varied
 from baggie.tasks.demonstrator import next_action, varied_action
-from baggie.tasks.scoring import RavensScore
+from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from helpers.ideal_arm import carried, poses_of
 
@@ -46,7 +46,7 @@ def steps_of(episode):
     """What our own demonstrator does, by an arm without any error."""
     scene = scene_of(episode)
     there, steps = poses_of(scene), []
-    while (action := next_action(scene.stages, there)) is not None:
+    while (action := next_action(scene.conditions, there)) is not None:
         there = carried(action, scene, there)
         steps.append(action)
     return steps
@@ -196,7 +196,7 @@ def test_any_block_picked_anywhere_counts_where_it_comes_to_lie_in_any_slot(bloc
 
 def played(scene, seed):
     """Recorded steps of the style of others, each with what it earned, and what was right before each."""
-    there, score, steps = poses_of(scene), RavensScore(scene.stages), []
+    there, score, steps = poses_of(scene), Score(scene.conditions), []
     for step in range(100):
         action = varied_action(scene, there, generator(STYLE, seed, 0, step))
         if action is None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.collect.calibrate import calibrate
-from baggie.collect.machine import detect
+from baggie.workcell.by_color import detect
 from baggie.errors import DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.policies.keypoint import heads as phase

@@ -23,7 +23,7 @@ from baggie.tasks.demonstrator import (
     varied_action,
 )
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import RavensScore, all_filled
+from baggie.tasks.scoring import Score, all_filled
 from baggie.tasks.task import Task
 from helpers.ideal_arm import away, carried, poses_of
 
@@ -52,8 +52,8 @@ def test_the_cup_lies_wholly_on_what_is_picked_and_the_thing_ends_in_its_slot(ta
     """Wherever it was picked, whatever looks the same: the thing lies as if it had been held by its middle."""
     rng = np.random.default_rng(seed)
     scene = task.draw(rng)
-    poses, score = poses_of(scene), RavensScore(scene.stages)
-    while (left := remaining(scene.stages, poses)) is not None:
+    poses, score = poses_of(scene), Score(scene.conditions)
+    while (left := remaining(scene.conditions, poses)) is not None:
         action = rightly(scene, poses, rng)
         assert action.pick.yaw == 0.0
         assert REACH.contains(action.place.x, action.place.y)
@@ -70,14 +70,14 @@ def test_the_cup_lies_wholly_on_what_is_picked_and_the_thing_ends_in_its_slot(ta
             assert wrap_angle(ends.yaw - slot.yaw, turn) == pytest.approx(0.0, abs=1e-9)
         assert score.count(poses) > 0.0
     assert score.done
-    assert all_filled(scene.stages, poses)
+    assert all_filled(scene.conditions, poses)
 
 
 @pytest.mark.parametrize("task", BLOCK_TASKS, ids=lambda task: task.name)
 def test_picks_reach_as_near_to_the_rim_as_the_cup_allows(task: Task) -> None:
     rng = np.random.default_rng(0)
     scene = task.draw(rng)
-    name = scene.stages[0].blocks[0]
+    name = scene.conditions[0].blocks[0]
     block = next(block for block in scene.blocks if block.name == name)
     points = np.array([pick_point(block, poses_of(scene)[name], rng) for _ in range(200)])
     rim = extent_m(block) - np.array([[-1], [1]]) * (CUP_RADIUS_M + STRAY_M)
@@ -113,7 +113,7 @@ def test_any_block_of_a_stage_goes_to_any_of_its_slots_by_any_turn_that_looks_th
         action = rightly(scene, poses, np.random.default_rng(seed))
         after = carried(action, scene, poses)
         (name,) = [each for each in after if after[each] is not poses[each]]
-        slots = [planar_pose(slot.T_base_slot(poses)) for slot in scene.stages[0].slots]
+        slots = [planar_pose(slot.T_base_slot(poses)) for slot in scene.conditions[0].slots]
         slot = min(range(3), key=lambda each: slots[each].distance(planar_pose(after[name])))
         least = next(
             turn
@@ -131,7 +131,7 @@ def test_a_step_is_wasted_now_and_then_on_the_bare_table_or_by_putting_a_thing_a
     things = (*scene.blocks, *scene.fixtures)
     for seed in range(1500):
         action = varied_action(scene, poses, generator(STYLE, 0, seed, 0))
-        score = RavensScore(scene.stages)
+        score = Score(scene.conditions)
         after = carried(action, scene, poses)
         moved = [name for name in after if after[name] is not poses[name]]
         if score.count(after) > 0.0:
@@ -143,7 +143,7 @@ def test_a_step_is_wasted_now_and_then_on_the_bare_table_or_by_putting_a_thing_a
             assert min(
                 ends.distance(planar_pose(poses[thing.name])) - reach_m(thing) for thing in others
             ) > reach_m(next(block for block in scene.blocks if block.name == moved[0]))
-            assert remaining(scene.stages, after) is not None
+            assert remaining(scene.conditions, after) is not None
         else:
             kinds["bare"] += 1
             assert min(distance_to(thing, poses, action.pick) for thing in things) > CUP_RADIUS_M
@@ -168,5 +168,5 @@ def test_whatever_is_wasted_whoever_shows_it_goes_on_to_the_end(task: Task, seed
             if action is None:
                 break
             poses = carried(action, scene, poses)
-    assert all_filled(scene.stages, poses)
-    assert next_action(scene.stages, poses) is None
+    assert all_filled(scene.conditions, poses)
+    assert next_action(scene.conditions, poses) is None

@@ -1,4 +1,4 @@
-"""Gymnasium environments: the bean bag, and the tasks with blocks. One step is one whole pick and place."""
+"""The Gymnasium environment of every task. One step is one whole pick and place."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from baggie.collect.machine import random_place
 from baggie.errors import LimitError, ReachError
-from baggie.geometry import Grid, Rectangle
-from baggie.registry import TASKS
+from baggie.geometry import Grid, PlanarPose, Rectangle
+from baggie.tasks.scoring import Score, strict_success
 from baggie.types import Goal, PickPlace
 from baggie.workcell.workcell import Workcell
 
 if TYPE_CHECKING:
+    from baggie.tasks.task import Task
     from baggie.types import Image
     from baggie.workcell.simulated import SimulatedWorkcell
 
@@ -39,25 +40,24 @@ def execute(workcell: Workcell, action: NDArray[np.float32]) -> dict[str, Any]:
 
 
 PICTURE_SIZE = (640, 360)
-SUCCESS_RADIUS_M = 0.02
 GOAL_MARGIN_M = 0.02
 """Between a goal and the workspace's edge."""
 
 
-def open_environment(task: str, **options: Any) -> GoalEnv | TaskEnv:
-    """The environment of a task, with the options of its class. Raises `BaggieError` where there is no such task."""
-    return (GoalEnv if TASKS[task].has_goal else TaskEnv)(task, **options)
+class TaskEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
+    """A task of Baggie's. One step is one whole pick and place.
 
-
-class GoalEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
-    """Move the bag onto the goal: a task whose goal is given in the camera's picture.
-
-    Observation: `color` `(360, 640, 3)` uint8 RGB, the overhead picture with the arm out of the way; `goal` `(4, 2)`
-    float32, corners of the goal's outline in it, pixels (u, v).
-    Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame.
-    Reward: minus the distance from bag to goal in metres. Terminated within 2 cm. An action the arm refuses (outside
-    its limits or reach) moves nothing; `info["refused"]` says why. `info`: `distance_m`; `is_success`, whether that is
-    within 2 cm; `outcome` where it moved. Truncated after the task's `max_steps`.
+    Observation: `color` uint8 RGB. Of a task that a camera looks at, `(360, 640, 3)`, the overhead picture with the arm
+    out of the way; of one that is seen from straight above, `(320, 160, 3)`, and `height` `(320, 160)` float32 metres
+    (`baggie.geometry.Grid()` says which pixel shows which place). Where the goal is given in the picture, `goal`
+    `(4, 2)` float32, corners of its outline in it, pixels (u, v).
+    Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame. One that the arm
+    refuses (outside its limits or reach) moves nothing or puts back what it held; `info["refused"]` says why.
+    Reward: with a goal, minus the distance from the object to it in metres; else what Ravens gives, 1 in all. Terminated
+    when the object is within 2 cm, or all is done; truncated after the task's `max_steps`.
+    `info`: `is_success`; with a goal `distance_m`; else `partial_credit`, the rewards' sum, and `strict_success`, the
+    same as `is_success`, decided when the episode ends and False till then (everything as it has to be, and still so
+    two seconds later); `outcome` where the arm moved.
     Options of `reset`: none. The same seed gives the same scene.
     """
 
@@ -68,39 +68,44 @@ class GoalEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
 
         self.render_mode = render_mode
         self._workcell: SimulatedWorkcell = open_simulated(cell, task)
-        width, height = PICTURE_SIZE
+        self._task = self._workcell.task
         self.action_space = action_space(self._workcell.settings.workspace)
-        self.observation_space = spaces.Dict(
-            {
-                "color": spaces.Box(0, 255, (height, width, 3), np.uint8),
-                "goal": spaces.Box(-float(width), 2.0 * width, (4, 2), np.float32),
-            }
-        )
+        self.observation_space = spaces.Dict(_observations(self._task))
+        self._goal: PlanarPose | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ObservationDict, dict[str, Any]]:
-        """A new scene and a goal at least 20 cm from the bag."""
+        """A new scene of the task, and, where it has a goal, one at least 20 cm from the object."""
         super().reset(seed=seed)
-        self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
+        cell = self._workcell
+        cell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
         self._steps = 0
-        bag = self._workcell.truth()
-        self._goal = random_place(self._workcell.settings.workspace, bag, self.np_random, GOAL_MARGIN_M)
-        return self._observe(), self._info()
+        if self._task.has_goal:
+            self._goal = random_place(cell.settings.workspace, cell.truth(), self.np_random, GOAL_MARGIN_M)
+            cell.give_goal(self._goal)
+        self._score = Score(cell.scene.conditions)
+        return self._observe(), self._info(ended=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
         """Execute one pick and place."""
         happened = execute(self._workcell, action)
         observation = self._observe()
-        info = happened | self._info()
+        reward = self._score.count(self._workcell.state())
         self._steps += 1
-        truncated = self._steps >= self._workcell.task.max_steps
-        return observation, -info["distance_m"], info["is_success"], truncated, info
+        terminated = self._score.done
+        truncated = not terminated and self._steps >= self._task.max_steps
+        info = self._info(terminated or truncated)
+        if self._goal is not None:
+            reward = -info["distance_m"]
+        return observation, reward, terminated, truncated, happened | info
 
     def render(self) -> Image | None:
-        """The overhead picture with the goal painted in, `(360, 640, 3)`, in mode `rgb_array`."""
+        """What is observed, `(H, W, 3)`, with the goal painted in, in mode `rgb_array`."""
         if self.render_mode != "rgb_array":
             return None
+        if self._goal is None:
+            return self._color.copy()
         from baggie.vision.draw import paint_goal  # noqa: PLC0415
 
         return paint_goal(self._color, Goal(self._corners))
@@ -110,81 +115,37 @@ class GoalEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
         self._workcell.close()
 
     def _observe(self) -> ObservationDict:
-        observation = self._workcell.look()
+        seen = self._workcell.look()
+        if self._task.view == "height-map":
+            self._color = seen.color
+            return {"color": self._color.copy(), "height": seen.height}
         width, height = PICTURE_SIZE
-        factors = width / observation.size[0], height / observation.size[1]
-        self._corners = Goal(self._workcell.goal_corners(self._goal)).scaled(*factors).corners
-        self._color = observation.resized(width, height).color
-        return {"color": self._color.copy(), "goal": self._corners.astype(np.float32)}
-
-    def _info(self) -> dict[str, Any]:
-        distance = self._workcell.truth().distance(self._goal)
-        return {"distance_m": distance, "is_success": distance <= SUCCESS_RADIUS_M}
-
-
-class TaskEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
-    """A task that itself says where things go, seen from straight above.
-
-    Observation: `color` `(320, 160, 3)` uint8 RGB and `height` `(320, 160)` float32 metres, the table from straight
-    above (`baggie.geometry.Grid()` says which pixel shows which place).
-    Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame.
-    Reward: what Ravens gives, 1 in all. Terminated when that is complete, truncated after the task's `max_steps`.
-    An action the arm refuses (outside its limits or reach) moves nothing or puts back what it held; `info["refused"]`
-    says why. `info`: `partial_credit`, the rewards' sum; `strict_success`, decided when the episode ends and False till
-    then (every block upright in a slot of its own, and still so two seconds later); `is_success`, the same by the name
-    that others read; `outcome` where it moved.
-    Options of `reset`: none. The same seed gives the same scene.
-    """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 -- Gymnasium's own convention
-
-    def __init__(self, task: str, cell: int = 0, render_mode: str | None = None) -> None:
-        from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
-
-        self.render_mode = render_mode
-        self._workcell: SimulatedWorkcell = open_simulated(cell, task)
-        grid = Grid()
-        self.action_space = action_space(self._workcell.settings.workspace)
-        self.observation_space = spaces.Dict(
-            {
-                "color": spaces.Box(0, 255, (*grid.shape, 3), np.uint8),
-                "height": spaces.Box(0.0, grid.z[1] - grid.z[0], grid.shape, np.float32),
-            }
-        )
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ObservationDict, dict[str, Any]]:
-        """A new scene of the task."""
-        super().reset(seed=seed)
-        self._workcell.reset([int(value) for value in self.np_random.integers(2**31, size=2)])
-        self._steps = 0
-        return self._observe(), self._info(ended=False)
-
-    def step(self, action: NDArray[np.float32]) -> tuple[ObservationDict, float, bool, bool, dict[str, Any]]:
-        """Execute one pick and place."""
-        happened = execute(self._workcell, action)
-        observation = self._observe()
-        reward = self._workcell.count()
-        self._steps += 1
-        terminated = self._workcell.score.done
-        truncated = not terminated and self._steps >= self._workcell.task.max_steps
-        return observation, reward, terminated, truncated, happened | self._info(terminated or truncated)
-
-    def render(self) -> Image | None:
-        """The table from straight above, `(320, 160, 3)`, in mode `rgb_array`."""
-        return self._color.copy() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Free the simulator."""
-        self._workcell.close()
-
-    def _observe(self) -> ObservationDict:
-        observation = self._workcell.look()
-        self._color = observation.color
-        return {"color": self._color.copy(), "height": observation.height}
+        self._color = seen.resized(width, height).color
+        observed = {"color": self._color.copy()}
+        if self._goal is not None:
+            factors = width / seen.size[0], height / seen.size[1]
+            self._corners = Goal(self._workcell.outline(self._goal)).scaled(*factors).corners
+            observed["goal"] = self._corners.astype(np.float32)
+        return observed
 
     def _info(self, ended: bool) -> dict[str, Any]:
-        success = ended and self._workcell.strict_success()
-        credit = self._workcell.score.total
-        return {"partial_credit": credit, "strict_success": success, "is_success": success}
+        if self._goal is not None:
+            distance = self._workcell.truth().distance(self._goal)
+            return {"distance_m": distance, "is_success": self._score.done}
+        success = ended and strict_success(self._workcell.scene.conditions, self._workcell)
+        return {"partial_credit": self._score.total, "strict_success": success, "is_success": success}
+
+
+def _observations(task: Task) -> dict[str, gymnasium.Space[Any]]:
+    """The space of each part of an observation."""
+    if task.view == "height-map":
+        grid = Grid()
+        return {
+            "color": spaces.Box(0, 255, (*grid.shape, 3), np.uint8),
+            "height": spaces.Box(0.0, grid.z[1] - grid.z[0], grid.shape, np.float32),
+        }
+    width, height = PICTURE_SIZE
+    found: dict[str, gymnasium.Space[Any]] = {"color": spaces.Box(0, 255, (height, width, 3), np.uint8)}
+    if task.has_goal:
+        found["goal"] = spaces.Box(-float(width), 2.0 * width, (4, 2), np.float32)
+    return found

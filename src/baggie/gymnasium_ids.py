@@ -21,7 +21,7 @@ def register_environments() -> None:
 
 def _register(gymnasium: ModuleType) -> None:
     for task in TASKS.names():
-        gymnasium.register(id_of(task), entry_point="baggie.envs:open_environment", kwargs={"task": task})
+        gymnasium.register(id_of(task), entry_point="baggie.envs:TaskEnv", kwargs={"task": task})
 
 
 def id_of(task: str) -> str:

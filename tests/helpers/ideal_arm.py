@@ -29,7 +29,7 @@ def carried(action: PickPlace, scene: Scene, poses: dict[str, FloatArray]) -> di
         return poses
     moved = action.place @ action.pick.inverse() @ planar_pose(poses[name])
     slots = [
-        slot.T_base_slot(poses) for stage in scene.stages if name in stage.blocks for slot in stage.slots
+        slot.T_base_slot(poses) for stage in scene.conditions if name in stage.blocks for slot in stage.slots
     ]
     heights = [T[2, 3] for T in slots if moved.distance(planar_pose(T)) < 0.01]
     block = next(block for block in scene.blocks if block.name == name)

@@ -10,12 +10,12 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE, CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.projection import MIN_POINTS_TWO_HEIGHTS
-from baggie.collect.cell import CollectorCell
-from baggie.collect.machine import MARGIN_M, at_outline
+from baggie.collect.machine import MARGIN_M
 from baggie.commissioning.image_to_robot import color_finder, grid, visit
 from baggie.errors import BaggieError
 from baggie.geometry import transform_points
 from baggie.pictures import write_picture
+from baggie.workcell.workcell import Workcell, at_outline
 
 MARKER_HEIGHTS_M = (0.07, 0.17)
 """Above the table while it is looked at; the lower, just clear of a bag that lies there, unless that is higher."""
@@ -23,7 +23,7 @@ _CLEAR_M = 0.04
 """Between the marker and what lies there."""
 
 
-def calibrate_into(folder: Path, cell: CollectorCell, seed: int, watched: bool = True) -> None:
+def calibrate_into(folder: Path, cell: Workcell, seed: int, watched: bool = True) -> None:
     """Calibrate a cell and keep all that belongs to it: the colour-mask policy with its map, and, where the cell is
     `watched`, the picture that a watch compares with.
 
@@ -37,7 +37,7 @@ def calibrate_into(folder: Path, cell: CollectorCell, seed: int, watched: bool =
     ColorMaskPolicy(image_to_robot, cell.settings.object_color).save(folder)  # last: where it is, all is
 
 
-def calibrate(cell: CollectorCell, seed: int) -> ImageToRobot:
+def calibrate(cell: Workcell, seed: int) -> ImageToRobot:
     """Fit the map from the picture to the robot, right at half the object's height, where its outline is.
 
     The workcell's own map where it has one; else the same cell and seed give the same map. Raises `BaggieError` when

@@ -1,97 +1,36 @@
-"""What the collector asks of a workcell.
-
-Which workcell is collected in.
-"""
+"""Which workcell is collected in."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose
 from baggie.options.choices import USUAL_TASK, CollectedScenery
 from baggie.options.collecting import CollectOptions
 from baggie.registry import TASKS
-from baggie.robot.arm import Arm
-from baggie.types import Observation, Outcome, PickPlace
-from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
+from baggie.workcell.workcell import Workcell
 
 if TYPE_CHECKING:
     from baggie.workcell.workcell_file import WorkcellFile
 
 
-class CollectorCell(Protocol):
-    """A workcell that can start a sitting afresh and be put right when the object is lost."""
-
-    @property
-    def arm(self) -> Arm: ...  # noqa: D102 -- a workcell's attributes
-    @property
-    def camera(self) -> Camera: ...  # noqa: D102 -- a workcell's attributes
-    @property
-    def settings(self) -> WorkcellSettings: ...  # noqa: D102 -- a workcell's attributes
-
-    @property
-    def repeatable(self) -> bool:
-        """Whether `reset` gives the same scene again, and with it the same attempts."""
-        ...
-
-    calibrations: Calibrations
-    watch: Watch | None
-    """Set once the cell is calibrated; then `look` raises `BumpedError` when the camera or the table has moved."""
-
-    def look(self) -> Observation:
-        """A picture with the arm out of the way."""
-        ...
-
-    def execute(self, action: PickPlace) -> Outcome:
-        """Pick, verify, carry, place. Raises `LimitError` or `ReachError`; then the object is where it was."""
-        ...
-
-    def reset(self, seed: Sequence[int]) -> None:
-        """A new scene, drawn from the stream these integers name, where the cell is repeatable."""
-        ...
-
-    def rescue(self) -> bool:
-        """Get the object back into the workspace; whether that was done."""
-        ...
-
-    def truth(self) -> PlanarPose | None:
-        """The object's true pose, recorded for evaluation only; None where nobody knows."""
-        ...
-
-    def show_paddle(self, shown: bool) -> None:
-        """Put the calibration marker into the hand, or take it away."""
-        ...
-
-    def clock(self) -> float:
-        """Seconds since the scene began."""
-        ...
-
-    def close(self) -> None:
-        """Let go of everything."""
-        ...
-
-
-OpenCell = Callable[[int], CollectorCell]
+OpenCell = Callable[[int], Workcell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
 SIMULATED = "simulated FR3"
 
 
-def open_simulated_cell(
-    number: int, task: str = USUAL_TASK, scenery: CollectedScenery = "plain"
-) -> CollectorCell:
+def open_simulated_cell(number: int, task: str = USUAL_TASK, scenery: CollectedScenery = "plain") -> Workcell:
     """The simulated workcell; imported late, because MuJoCo takes its time."""
     from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
 
     return open_simulated(number, task, scenery=scenery, depth=TASKS[task].depth)
 
 
-def open_written_cell(written: WorkcellFile, path: Path, number: int) -> CollectorCell:
+def open_written_cell(written: WorkcellFile, path: Path, number: int) -> Workcell:
     """The workcell `written` in a file. Raises `BaggieError` for one that cannot be used, or of another cell."""
     from baggie.workcell.config import RealWorkcell, open_written  # noqa: PLC0415 -- MuJoCo takes its time
     from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""One turn of collecting, as a small state machine: each state is a function from the turn to the next state.
+"""One turn of collecting, as a small state machine: each phase is a function from the turn to the next phase.
 
     LOOK ──► FIND ──► PLAN ──► MOVE ──► CHECK ──► RECORD
      ▲        │         │        │
@@ -10,16 +10,11 @@
                 STOPPED  (nobody helped)
 
 MOVE is the workcell's own pick (with its check of the gripper's width), carry and place.
-
-Where the collector grips and where it puts down.
-
-Where the object is, by its colour in a picture and a map from the picture to the robot.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -27,15 +22,16 @@ from enum import Enum
 import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.cell import CollectorCell
-from baggie.errors import BaggieError, BaggieWarning, LimitError, NobodyError, ReachError
-from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
+from baggie.errors import BaggieError, LimitError, NobodyError, ReachError
+from baggie.geometry import PlanarPose, Rectangle
 from baggie.operator import Operator, errand
 from baggie.robot.handling_rules import ROOM_M
 from baggie.seeds import first_fit
+from baggie.tasks.conditions import State
 from baggie.types import Failure, Observation, Outcome, PickPlace
-from baggie.vision.color_mask import Detection, find_bag
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.vision.color_mask import Detection
+from baggie.workcell.by_color import LONG, detect
+from baggie.workcell.workcell import Workcell
 
 MIN_DISTANCE_M = 0.20
 MARGIN_M = 0.03
@@ -84,18 +80,6 @@ def grip_yaw(yaw: float, believed: bool) -> float:
     return 0.0 if false_45(yaw) and not believed else yaw
 
 
-def long_yaw(image_to_robot: ImageToRobot, corners: FloatArray, yaw: float) -> float:
-    """The angle of a long object's long side; radians in [-pi/2, pi/2).
-
-    `corners` `(4, 2)`, pixels, in turn around it, tell which side is the long one; `yaw`, modulo a quarter turn, its
-    angle. A gripper at this angle closes across the narrow side: at yaw 0 fingers open along y.
-    """
-    sides = np.roll(on_table := image_to_robot.to_robot(corners), -1, axis=0) - on_table
-    x, y = sides[int(np.argmax(np.linalg.norm(sides[:2] - sides[2:], axis=1)))]
-    quarters = round((math.atan2(y, x) - yaw) / (math.pi / 2))
-    return wrap_angle(yaw + quarters * math.pi / 2, math.pi)
-
-
 def long_place_yaw(pick_yaw: float, rng: np.random.Generator) -> float:
     """The gripper's angle to put a long object down squared up: along x or along y, whichever chance says.
 
@@ -110,48 +94,6 @@ def nearest_grip(workspace: Rectangle, x: float, y: float, reach: float) -> tupl
     return inside if math.hypot(inside[0] - x, inside[1] - y) <= reach else None
 
 
-NEAR_M = 0.005
-"""From a plane so near what is seen at half a metre from under a camera 1 m up is 2 mm off, and that will do."""
-LONG = 2
-"""The symmetry of an object that is longer than wide."""
-
-
-def detect(
-    observation: Observation, image_to_robot: ImageToRobot, settings: WorkcellSettings
-) -> tuple[Detection, PlanarPose] | None:
-    """The object of a workcell's settings, in pixels and in the robot's base frame; None where none is in sight.
-
-    `image_to_robot` is for pictures of this size. The yaw is modulo a quarter turn, a long object's modulo half a turn.
-    """
-    found = find_bag(observation.color, settings.object_color)
-    if found is None:
-        return None
-    x, y = image_to_robot.to_robot(found.center)[0]
-    yaw = image_to_robot.yaw_to_robot(found.center, found.yaw)
-    if settings.object_symmetry == LONG:
-        yaw = long_yaw(image_to_robot, found.corners, yaw)
-    return found, PlanarPose(float(x), float(y), yaw)
-
-
-def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings) -> ImageToRobot:
-    """The map at half the object's height, where the middle of what is seen of it is.
-
-    As it is where it knows one height only, with a `BaggieWarning` where that is another.
-    """
-    middle_m = settings.object_size_m[2] / 2
-    if image_to_robot.height_aware:
-        return image_to_robot.at_height(middle_m)
-    if abs(image_to_robot.height_m - middle_m) > NEAR_M:
-        warnings.warn(
-            f"the map from the picture to the robot is right {image_to_robot.height_m:g} m above the table only, the "
-            f"middle of the object is {middle_m:g} m up: places are off by some millimetres; calibrate at two heights, "
-            "or with --intrinsics",
-            BaggieWarning,
-            stacklevel=2,
-        )
-    return image_to_robot
-
-
 MAX_TRIES = 3
 MAX_LOOKS = 3
 MAX_RESCUES = 2
@@ -163,7 +105,7 @@ LANDING_DOUBTED_M = 0.09
 """The same when it was gripped across its corners, after a doubtful reading of 45 degrees."""
 
 
-class State(Enum):
+class Phase(Enum):
     """Where a turn is."""
 
     LOOK = "look"
@@ -180,9 +122,9 @@ class State(Enum):
 
 @dataclass
 class Turn:
-    """What one turn knows; every state reads and adds to it."""
+    """What one turn knows; every phase reads and adds to it."""
 
-    cell: CollectorCell
+    cell: Workcell
     image_to_robot: ImageToRobot
     rng: np.random.Generator
     operator: Operator
@@ -197,7 +139,8 @@ class Turn:
     outcome: Outcome | None = None
     after: Observation | None = None
     found_after: Detection | None = None
-    truth_before: PlanarPose | None = None
+    state_before: State | None = None
+    """The truth, where somebody knows it: it is recorded, and never looked at."""
     tries: int = 0
     looks: int = 0
     rescues: int = 0
@@ -209,25 +152,25 @@ class Turn:
         return detect(observation, self.image_to_robot, self.cell.settings) or (None, None)
 
 
-def look(turn: Turn) -> State:
+def look(turn: Turn) -> Phase:
     """Take a picture with the arm out of the way."""
     turn.before = turn.cell.look()
-    turn.truth_before = turn.cell.truth()
+    turn.state_before = turn.cell.state()
     turn.looks += 1
-    return State.FIND
+    return Phase.FIND
 
 
-def find(turn: Turn) -> State:
+def find(turn: Turn) -> Phase:
     """Find the object by its colour."""
     assert turn.before is not None
     turn.found, turn.pose = turn.detect(turn.before)
     if turn.found is None:
         turn.trouble = "the object is not in sight: put it back into the workspace"
-        return State.RECOVER
-    return State.PLAN
+        return Phase.RECOVER
+    return Phase.PLAN
 
 
-def plan(turn: Turn) -> State:
+def plan(turn: Turn) -> Phase:
     """Grip it where it lies, or where it can still be reached; put it down elsewhere, squared up."""
     assert turn.pose is not None
     settings, pose = turn.cell.settings, turn.pose
@@ -238,7 +181,7 @@ def plan(turn: Turn) -> State:
             f"the object at x {pose.x:.2f} m, y {pose.y:.2f} m is out of reach: "
             f"put it back into the workspace, {settings.workspace}"
         )
-        return State.ASK
+        return Phase.ASK
     long = settings.object_symmetry == LONG
     # What was not grasped one way is tried the other: a hard square at 45 degrees goes into no hand that stays square.
     believed = turn.doubted_before != (turn.tries % 2 == 1)
@@ -246,10 +189,10 @@ def plan(turn: Turn) -> State:
     pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, believed))
     place = random_place(settings.workspace, pick, turn.rng)
     turn.action = PickPlace(pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place)
-    return State.MOVE
+    return Phase.MOVE
 
 
-def move(turn: Turn) -> State:
+def move(turn: Turn) -> Phase:
     """Pick, carry, place."""
     assert turn.action is not None
     turn.tries += 1
@@ -258,31 +201,31 @@ def move(turn: Turn) -> State:
     except (LimitError, ReachError) as error:
         turn.outcome = Outcome(turn.action, failure="unreachable")
         turn.trouble = f"the arm did not get there ({error}): put the object into the middle of the workspace"
-    return State.RETRY if turn.outcome.failure in ("missed-grasp", "unreachable") else State.CHECK
+    return Phase.RETRY if turn.outcome.failure in ("missed-grasp", "unreachable") else Phase.CHECK
 
 
-def retry(turn: Turn) -> State:
+def retry(turn: Turn) -> Phase:
     """Try again after a fresh look, a limited number of times."""
     if turn.tries >= MAX_TRIES:
-        return State.CHECK
+        return Phase.CHECK
     turn.looks = 0
-    return State.LOOK
+    return Phase.LOOK
 
 
-def recover(turn: Turn) -> State:
+def recover(turn: Turn) -> Phase:
     """Look again: a soft thing may still have been rolling, a shadow may have passed."""
-    return State.LOOK if turn.looks < MAX_LOOKS else State.ASK
+    return Phase.LOOK if turn.looks < MAX_LOOKS else Phase.ASK
 
 
-def ask(turn: Turn) -> State:
+def ask(turn: Turn) -> Phase:
     """Have the cell help itself, a limited number of times; then ask a person, for as long as anybody answers."""
     turn.looks = 0
     turn.rescues += 1
     rescued = turn.rescues <= MAX_RESCUES and turn.cell.rescue()
-    return State.LOOK if rescued or helped(turn.operator, turn.trouble) else State.STOPPED
+    return Phase.LOOK if rescued or helped(turn.operator, turn.trouble) else Phase.STOPPED
 
 
-def check(turn: Turn) -> State:
+def check(turn: Turn) -> Phase:
     """Look again: is the object where it was let go?"""
     assert turn.outcome is not None
     assert turn.pose is not None
@@ -292,7 +235,7 @@ def check(turn: Turn) -> State:
     if failure is None and landed is not None and turn.cell.watch is not None:
         turn.cell.watch.landed(turn.outcome.executed.place, landed)
     turn.outcome = replace(turn.outcome, failure=failure, tries=turn.tries)
-    return State.RECORD
+    return Phase.RECORD
 
 
 def _landing(
@@ -305,15 +248,15 @@ def _landing(
     return "dropped" if landed.distance(released) > (LANDING_DOUBTED_M if doubted else LANDING_M) else None
 
 
-STATES: dict[State, Callable[[Turn], State]] = {
-    State.LOOK: look,
-    State.FIND: find,
-    State.PLAN: plan,
-    State.MOVE: move,
-    State.RETRY: retry,
-    State.RECOVER: recover,
-    State.ASK: ask,
-    State.CHECK: check,
+PHASES: dict[Phase, Callable[[Turn], Phase]] = {
+    Phase.LOOK: look,
+    Phase.FIND: find,
+    Phase.PLAN: plan,
+    Phase.MOVE: move,
+    Phase.RETRY: retry,
+    Phase.RECOVER: recover,
+    Phase.ASK: ask,
+    Phase.CHECK: check,
 }
 
 
@@ -337,9 +280,9 @@ def stopped(trouble: str) -> Stopped:
 
 def run_turn(turn: Turn) -> Turn:
     """Run a turn from LOOK to RECORD. Raises `Stopped` when it ends in STOPPED."""
-    state = State.LOOK
-    while state is not State.RECORD:
-        if state is State.STOPPED:
+    phase = Phase.LOOK
+    while phase is not Phase.RECORD:
+        if phase is Phase.STOPPED:
             raise stopped(turn.trouble)
-        state = STATES[state](turn)
+        phase = PHASES[phase](turn)
     return turn

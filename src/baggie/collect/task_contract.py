@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.collect.demonstrations import demonstrate, size_of
-from baggie.collect.sitting import Recording
+from baggie.collect.demonstrator import Recording
+from baggie.collect.scripted import demonstrate, size_of
 from baggie.data import DatasetWriter, open_dataset
 from baggie.geometry import PlanarPose
+from baggie.tasks.conditions import InSlots
 from baggie.tasks.task import Scene, Task
 from baggie.types import Attempt, Outcome, PickPlace
 from baggie.workcell.simulated import SimulatedWorkcell
@@ -36,7 +37,7 @@ def check_task(task: Task, folder: Path, seeds: Sequence[int] = (0, 1, 2)) -> No
     scenes = [task.draw(np.random.default_rng(seed)) for seed in seeds]
     for seed, scene in zip(seeds, scenes, strict=True):
         again = task.draw(np.random.default_rng(seed))
-        same = (again.things, again.poses, again.stages) == (scene.things, scene.poses, scene.stages)
+        same = (again.things, again.poses, again.conditions) == (scene.things, scene.poses, scene.conditions)
         assert same, "the same stream gives the same scene"
         _check_scene(task, scene)
     assert any(scene.poses != scenes[0].poses for scene in scenes[1:]), "another stream gives another scene"
@@ -52,16 +53,17 @@ def _check_scene(task: Task, scene: Scene) -> None:
         assert inside, f"{name} lies on the table, got {pose}"
     if task.has_goal:
         return
-    assert scene.stages, "something counts: a stage, or a goal in the picture"
-    total = sum(stage.weight for stage in scene.stages)
-    assert np.isclose(total, 1.0), f"the weights of all stages add up to 1, got {total}"
+    assert scene.conditions, "something counts: a condition, or a goal in the picture"
+    total = sum(condition.weight for condition in scene.conditions)
+    assert np.isclose(total, 1.0), f"the weights of all conditions add up to 1, got {total}"
     movable = {thing.name for thing in scene.things if thing.movable}
-    for stage in scene.stages:
-        assert set(stage.blocks) <= movable, f"what has to be carried can be, got {stage.blocks}"
-        assert len(stage.slots) >= len(stage.blocks) > 0, "each of a stage's things has a slot"
-        frames = {slot.frame for slot in stage.slots} - {None}
+    in_slots = [condition for condition in scene.conditions if isinstance(condition, InSlots)]
+    for condition in in_slots:
+        assert set(condition.blocks) <= movable, f"what has to be carried can be, got {condition.blocks}"
+        assert len(condition.slots) >= len(condition.blocks) > 0, "each thing has a slot"
+        frames = {slot.frame for slot in condition.slots} - {None}
         assert frames <= names, f"slots are in frames of things that are there, got {frames}"
-    needed = sum(len(stage.blocks) for stage in scene.stages)
+    needed = sum(len(condition.blocks) for condition in in_slots)
     assert needed <= task.max_steps, f"{needed} things are carried within max_steps, {task.max_steps}"
 
 
@@ -70,7 +72,7 @@ def _check_played(cell: SimulatedWorkcell, folder: Path) -> None:
     picture = cell.look().color
     cell.reset((7, 0))
     assert np.array_equal(cell.look().color, picture), "the same seed gives the same picture"
-    shown = [_moved(cell)] if cell.task.has_goal else demonstrate(cell, _recording(cell.task), 0)
+    shown = [_moved(cell)] if cell.task.has_goal else demonstrate(cell, cell.task, _recording(cell.task), 0)
     assert shown, "there is something to do at first"
     width, height = shown[0].before.size
     with DatasetWriter(

@@ -11,8 +11,8 @@ from baggie.data import Dataset
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import COLLECTION, generator
 from baggie.sim.blocks import Block, distance_m
-from baggie.tasks.demonstrator import remaining
-from baggie.tasks.scoring import RavensScore, counts
+from baggie.tasks.conditions import InSlots, State, counts, remaining
+from baggie.tasks.scoring import Score
 from baggie.tasks.task import Scene, Task
 from baggie.types import PickPlace
 
@@ -25,11 +25,11 @@ class SceneChoices:
     """What was as right as one recorded step."""
 
     blocks: Sequence[tuple[Block, PlanarPose]]
-    """Those still to be moved in this stage, and where they are."""
+    """Those still to be moved in this condition, and where they are."""
     slots: Sequence[PlanarPose]
-    """Those of the stage that are still free."""
+    """Those of the condition that are still free."""
     symmetry: int
-    """How often a turn the stage's blocks look the same; 0 for at any angle."""
+    """How often a turn the condition's blocks look the same; 0 for at any angle."""
 
     def pick_counts(self, planned: PickPlace) -> bool:
         """Whether it picks one of the blocks, anywhere."""
@@ -87,22 +87,22 @@ def replayed(scene: Scene, steps: Sequence[Done]) -> Iterator[SceneChoices]:
         name: pose.upright(blocks[name].size_m[2] / 2 if name in blocks else 0.0)
         for name, pose in scene.poses.items()
     }
-    score = RavensScore(scene.stages)
+    score = Score(scene.conditions)
     for step in steps:
-        left = remaining(scene.stages, poses)
+        left = remaining(scene.conditions, poses)
         if left is None:
             return
         yield SceneChoices(
             [(blocks[name], planar_pose(poses[name])) for name in left.blocks],
             [planar_pose(slot.T_base_slot(poses)) for slot in left.slots],
-            left.stage.symmetry,
+            left.condition.symmetry,
         )
         if step.failure != "missed-grasp":
             moved = _moved(scene, poses, step.executed) if step.failure is None else None
             if moved is None:
                 return
             poses |= moved
-        if not abs(score.count(poses) - step.reward) < _SAME_REWARD:  # nor where nobody counted
+        if not abs(score.count(State.of(poses)) - step.reward) < _SAME_REWARD:  # nor where nobody counted
             return
 
 
@@ -120,10 +120,10 @@ def _moved(
     block = max(under, key=lambda each: float(poses[each.name][2, 3]))
     ends = executed.carry(planar_pose(poses[block.name]))
     slots = [
-        (slot.T_base_slot(poses), stage.symmetry)
-        for stage in scene.stages
-        if block.name in stage.blocks
-        for slot in stage.slots
+        (slot.T_base_slot(poses), condition.symmetry)
+        for condition in scene.conditions
+        if isinstance(condition, InSlots) and block.name in condition.blocks
+        for slot in condition.slots
     ]
     # In a slot it is as high as the slot is, elsewhere on the table.
     heights = [T[2, 3] for T, symmetry in slots if counts(ends.upright(0.0), T, symmetry)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,30 +13,29 @@ import torch
 
 from baggie.collect.cell import robot_of
 from baggie.errors import BaggieError
-from baggie.evaluation.bag_place import BAGS
-from baggie.evaluation.block_episode import BLOCKS
-from baggie.evaluation.episode import EpisodeRecord, Kind
-from baggie.evaluation.log import append_line, read_log
+from baggie.evaluation.episode import run_episode
+from baggie.evaluation.log import Episode, append_episode, read_episodes
+from baggie.evaluation.measures import measure
+from baggie.evaluation.setup import Setup, calibrate_if_needed, open_setup
 from baggie.evaluation.subjects import UNKNOWN, check_taught, config_of, fingerprint, in_its_cell, policy_name
+from baggie.evaluation.terms import Terms
 from baggie.operator import Caution, Operator, TerminalOperator, progress
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.learned import check_device
 from baggie.processes import Executor, LocalProcesses
 from baggie.results import EVALUATION, check_unmixed, provenance, write_json
 
-__all__ = ["EvaluateOptions", "OpenBench", "evaluate"]
+__all__ = ["EvaluateOptions", "OpenSetup", "evaluate"]
 
 _LATER = frozenset({"device", "calibration", "workcell_says"})
 """What older versions did not write down of an evaluation."""
-OpenBench = Callable[[EvaluateOptions], Any]
-"""Makes a cell and the policy in it, a bench of the task's kind (`baggie.evaluation.episode`); called once in each
-process, so it must be a function of a module.
-"""
+OpenSetup = Callable[[EvaluateOptions], Setup]
+"""Opens a cell and the policy to try in it; called once in each process, so it must be a function of a module."""
 
 
 def evaluate(
     options: EvaluateOptions,
-    open_bench: OpenBench | None = None,
+    open_own: OpenSetup | None = None,
     *,
     operator: Operator | None = None,
     executor: Executor | None = None,
@@ -44,45 +43,42 @@ def evaluate(
     """Run the episodes that are missing in `options.out`, write `metrics.json` there, and return it.
 
     The same options give the same episodes, whatever the number of workers and however often interrupted; in a real
-    workcell each starts where the one before it ended. The bench is of the options' cell unless `open_bench` is given;
-    the person at the terminal is told, and processes of this machine run them, unless `operator` or `executor` is.
+    workcell each starts where the one before it ended. Cell and policy are those of the options unless `open_own` opens
+    others; the person at the terminal is told, and processes of this machine run them, unless `operator` or `executor`
+    is given.
     Raises `BaggieError` for an unknown task, scenery, goal or policy, for what a real workcell cannot go on with, or
     when `out` holds another evaluation; `KeyboardInterrupt`, with how to go on as its message, when stopped.
     """
     options.check()
     check_device(options.device)
     check_unmixed(options.out, EVALUATION)
-    kind: Kind[Any, Any] = BLOCKS if options.of_blocks else BAGS
     operator = operator or TerminalOperator()
     name = policy_name(options.policy)
     check_taught(options.policy, options.task)
     _warn_of_another_cell(options, operator)
-    conditions = kind.conditions(options, operator) if kind.conditions else {}
-    _same_evaluation(options, conditions)
-    if open_bench is None and kind.prepare:
-        kind.prepare(options, operator)
-    log = options.out / kind.log
-    episodes: dict[int, EpisodeRecord] = {each.episode: each for each in read_log(log, kind.episode)}
+    terms = Terms.of(options, operator)
+    _same_evaluation(options, terms)
+    if open_own is None:
+        calibrate_if_needed(options, operator)
+    episodes = read_episodes(options.out)
     missing = [number for number in range(options.episodes) if number not in episodes]
-    worker = partial(_open_worker, options, kind, open_bench or kind.open_bench)
+    worker = partial(_open_worker, options, open_own or open_setup)
     try:
         with progress(operator, "evaluating", options.episodes, options.episodes - len(missing)) as advance:
             run = (executor or LocalProcesses()).stream
             for episode in run(worker, missing, options.processes, operator):
-                append_line(log, episode.to_json())
+                append_episode(options.out, episode)
                 episodes[episode.episode] = episode
-                advance(kind.note(episode))
+                advance(_note(episode))
     except KeyboardInterrupt:
         done = f"{len(episodes)} of {options.episodes} episodes are done"
         raise KeyboardInterrupt(f"interrupted: {done}; the same command again goes on from there") from None
     metrics = {
         "policy": name,
         "run": Path(options.policy).name,
-        "task": options.task,
-        **_place(options),
+        **terms.to_json(),
         **_robot(options),
-        **conditions,
-        **kind.measure([episodes[number] for number in range(options.episodes)], options),
+        **measure([episodes[number] for number in range(options.episodes)], options.radius_cm),
         "provenance": provenance([options.seed]),
     }
     write_json(options.out / "metrics.json", metrics)
@@ -90,17 +86,24 @@ def evaluate(
 
 
 def _open_worker(
-    options: EvaluateOptions, kind: Kind[Any, Any], open_bench: OpenBench, _operator: Operator
-) -> Callable[[int], Iterable[EpisodeRecord]]:
+    options: EvaluateOptions, open_own: OpenSetup, _operator: Operator
+) -> Callable[[int], Iterable[Episode]]:
     # Sums in another order would give other plans: results must not depend on how many work beside.
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    bench = open_bench(options)
+    setup = open_own(options)
 
-    def run(number: int) -> Iterable[EpisodeRecord]:
-        yield kind.run(bench, number, options)
+    def run(number: int) -> Iterable[Episode]:
+        yield run_episode(setup, number, options)
 
     return run
+
+
+def _note(episode: Episode) -> str:
+    """How an episode ended, beside the progress."""
+    if episode.landing is not None:
+        return f"last {episode.landing.distance_cm:.1f} cm from its goal"
+    return f"last got {100 * episode.credit.partial_credit:.0f}% done" if episode.credit else ""
 
 
 def _warn_of_another_cell(options: EvaluateOptions, operator: Operator) -> None:
@@ -108,11 +111,6 @@ def _warn_of_another_cell(options: EvaluateOptions, operator: Operator) -> None:
         trained_in = config_of(options.policy)["cell"]
         belongs = f"{options.policy} belongs to cell {trained_in}, not to cell {options.cell}"
         operator.tell(Caution(belongs))
-
-
-def _place(options: EvaluateOptions) -> dict[str, Any]:
-    """Which workcell it is in: a file's or, simulated, one with a number."""
-    return {"cell": options.cell} if options.workcell is None else {"workcell": str(options.workcell)}
 
 
 def _robot(options: EvaluateOptions) -> dict[str, Any]:
@@ -124,7 +122,7 @@ def _robot(options: EvaluateOptions) -> dict[str, Any]:
     return {"robot": robot_of(read_workcell_file(options.workcell), options.workcell)}
 
 
-def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:
+def _same_evaluation(options: EvaluateOptions, terms: Terms) -> None:
     """Never mix two evaluations in one folder: the log belongs to one policy, one stream of scenes, and all else that
     decides how an episode ends. What older versions did not write down is taken to be the same.
     """
@@ -132,11 +130,9 @@ def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) ->
     asked = {
         "policy": options.policy,
         "fingerprint": fingerprint(options.policy),
-        "task": options.task,
         "seed": options.seed,
-        **_place(options),
         "device": options.device,
-        **conditions,
+        **terms.to_json(),
     }
     found = json.loads(path.read_text()) if path.exists() else {}
     for key, value in asked.items():

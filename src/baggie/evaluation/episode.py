@@ -1,80 +1,46 @@
-"""One closed-loop episode: a scene nobody has seen, a goal, look, plan, move, and where the bag ends.
+"""One episode of the closed loop: a scene nobody has seen, then look, plan, move, until it is done or given up.
 
-What differs between kinds of tasks in the closed loop; all else is in `closed_loop.py`.
-
-One turn of the loop: a plan from a picture, carried out, and what went wrong by whose account.
+The loop is the same for every task. How it is judged is not: by the distance of an object from the goal in the picture,
+or by the conditions of a task that itself says where things go.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
+
+import numpy as np
 
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
-from baggie.evaluation.log import Record
-from baggie.evaluation.pictures import EpisodeScene, save_mp4, save_pictures
-from baggie.evaluation.setup import Bench
-from baggie.geometry import PlanarPose
+from baggie.evaluation.log import Credit, Episode, Landing, Step
+from baggie.evaluation.pictures import EpisodeScene, save_map, save_mp4, save_pictures, save_step
+from baggie.evaluation.setup import Setup
+from baggie.geometry import FloatArray
 from baggie.metrics import position_error_cm, yaw_error_deg
-from baggie.operator import Operator
-from baggie.options.choices import GoalKind
 from baggie.options.evaluating import EvaluateOptions
-from baggie.types import Goal, Observation, Outcome, Plan
+from baggie.policies.memory import Planner, remembering
+from baggie.registry import TASKS
+from baggie.seeds import EVALUATION
+from baggie.tasks.scoring import Score, strict_success
+from baggie.types import Goal, Observation, Outcome, PickPlace, Plan
 from baggie.vision.draw import check_goal
+from baggie.workcell.workcell import Workcell
+
+PLAY_FPS = 20
+"""Of videos."""
 
 
 @dataclass(frozen=True)
-class EpisodeRecord(Record):
-    """What every kind of episode is logged with."""
-
-    episode: int
-    """Its number: all but the times in a record depend on this, the seed and the cell alone."""
-
-
-AnyBench = TypeVar("AnyBench")
-AnyEpisode = TypeVar("AnyEpisode", bound=EpisodeRecord)
-
-
-@dataclass(frozen=True)
-class Kind(Generic[AnyBench, AnyEpisode]):
-    """How one kind of task is tried, episode by episode. All are functions of a module: worker processes need them."""
-
-    log: str
-    """The file of finished episodes; a report tells by it what a folder holds."""
-    episode: type[AnyEpisode]
-    open_bench: Callable[[EvaluateOptions], AnyBench]
-    """A cell and the policy in it; called once in each process."""
-    run: Callable[[AnyBench, int, EvaluateOptions], AnyEpisode]
-    """One episode, by its number."""
-    measure: Callable[[Sequence[AnyEpisode], EvaluateOptions], dict[str, Any]]
-    """What many episodes say together; `success` first."""
-    note: Callable[[AnyEpisode], str]
-    """How one ended, beside the progress."""
-    conditions: Callable[[EvaluateOptions, Operator], dict[str, Any]] | None = None
-    """What else an evaluation differs by than task, policy, cell and seed; warns of what may surprise."""
-    prepare: Callable[[EvaluateOptions, Operator], None] | None = None
-    """What has to be done once, before any process opens a bench."""
-
-
-class MovingCell(Protocol):
-    """A workcell that does what is planned."""
-
-    def carry_out(self, plan: Plan) -> Outcome:
-        """Pick and place; raises `UnsureError`, `LimitError` and `ReachError`."""
-        ...
-
-
-@dataclass(frozen=True)
-class Turn:
-    """What a policy wanted and what became of it."""
+class Trial:
+    """A plan, and what became of it."""
 
     plan: Plan | None
-    """None where it could not tell."""
+    """None where the policy could not tell."""
     outcome: Outcome | None
     """None where nothing was moved, or what was picked up was put back."""
     failure: str
@@ -88,161 +54,233 @@ class Turn:
         """Whether nothing was tried: by another look at the same scene nothing changes."""
         return self.failure in ("no-plan", "unsure")
 
+    def logged(self, **judged: float | None) -> Step:
+        """What is logged of it, beside what was `judged`."""
+        plan, outcome = self.plan, self.outcome
+        return Step(
+            planned=tuple(plan.action.to_array().tolist()) if plan else None,
+            executed=tuple(outcome.executed.to_array().tolist()) if outcome else None,
+            failure=self.failure,
+            message=self.message,
+            decision_ms=self.decision_ms,
+            confidence=plan.confidence if plan else 0.0,
+            pick_within_m=plan.pick_within_m if plan else None,
+            place_within_m=plan.place_within_m if plan else None,
+            **judged,
+        )
 
-class Planner(Protocol):
-    """A policy, or a memory that asks one."""
 
-    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Where to pick and where to place."""
-        ...
-
-
-def take_turn(policy: Planner, cell: MovingCell, seen: Observation, goal: Goal | None = None) -> Turn:
+def try_plan(policy: Planner, cell: Workcell, seen: Observation, goal: Goal | None = None) -> Trial:
     """Plan from what was seen, and move."""
     clock = time.perf_counter()
     try:
         plan = policy.plan(seen, goal)
     except BaggieError as error:
-        return Turn(None, None, "no-plan", str(error), 1000 * (time.perf_counter() - clock))
+        return Trial(None, None, "no-plan", str(error), 1000 * (time.perf_counter() - clock))
     decision_ms = 1000 * (time.perf_counter() - clock)
     try:
         outcome = cell.carry_out(plan)
     except UnsureError as error:
-        return Turn(plan, None, "unsure", str(error), decision_ms)
+        return Trial(plan, None, "unsure", str(error), decision_ms)
     except (LimitError, ReachError) as error:
-        return Turn(plan, None, "out-of-reach", str(error), decision_ms)
-    return Turn(plan, outcome, outcome.failure or "", "", decision_ms)
+        return Trial(plan, None, "out-of-reach", str(error), decision_ms)
+    return Trial(plan, outcome, outcome.failure or "", "", decision_ms)
 
 
-FILM_FPS = 10
-PLAY_FPS = 20
-"""Twice as fast as it was: half the frames to draw, and nobody has to wait."""
+class Judge(Protocol):
+    """Says what the policy is told, when an episode is over, and how it ended. One for each episode."""
+
+    film_fps: int
+    """Frames of a video in a second of the scene."""
+    most_steps: int
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing more to do."""
+        ...
+
+    def look(self, seen: Observation) -> Goal | None:
+        """Take note of the picture that is planned from; the goal in it, where one is given.
+
+        Raises `BaggieError` where it cannot be given.
+        """
+        ...
+
+    def judge(self, trial: Trial) -> Step:
+        """Take note of what was done; what is logged of it."""
+        ...
+
+    def end(self) -> None:
+        """Take note that nothing more is done."""
+        ...
+
+    def ending(self, after: Observation) -> dict[str, Any]:
+        """What is logged of the episode's end, shown in the picture `after`; its pictures are saved."""
+        ...
 
 
-@dataclass(frozen=True)
-class Episode(EpisodeRecord):
-    """Poses are (x, y, yaw), metres and radians. All but the times depend on the seed alone."""
+class ByDistance:
+    """Judges how far from the goal in the picture the object ends.
 
-    start: tuple[float, ...]
-    goal: tuple[float, ...]
-    final: tuple[float, ...]
-    distance_cm: float
-    """From the bag's middle to the goal's, at the end."""
-    yaw_error_deg: float
-    """Modulo the turns that leave the bag as it is."""
-    planned: tuple[float, ...] | None
-    """The last action asked for, `PickPlace.to_array`; None without one."""
-    executed: tuple[float, ...] | None
-    pick_error_cm: float | None
-    """From the last plan's pick to the bag's middle in the picture it was made from; None without a plan, as below."""
-    place_error_cm: float | None
-    """From its place to the goal."""
-    pick_yaw_error_deg: float | None
-    """Modulo the turns that leave the bag as it is."""
-    pick_within_m: float | None
-    """What the plan said of itself; None where it said nothing, as below."""
-    place_within_m: float | None
-    confidence: float
-    looks: int
-    """1, and one more for every time the gripper noticed that it had missed."""
-    failure: str
-    """What went wrong by the cell's or the policy's own account; empty when nothing did."""
-    message: str
-    decision_ms: tuple[float, ...]
-    """Wall clock, one for each look."""
-    wall_s: float
-
-
-def run_episode(
-    bench: Bench,
-    number: int,
-    stream: Sequence[int],
-    *,
-    goal_kind: GoalKind,
-    retries: int,
-    out: Path,
-    film: bool,
-) -> Episode:
-    """Run episode `number` of a random stream; save pictures as `out/episode-NNNN-{before,after,heat}.jpg`.
-
-    `baggie.evaluation.goals` draws the goal. The policy looks again, at most `retries` times, only when the gripper
-    noticed that it held nothing: never because of what the simulator alone knows. With `film` there is a video too.
-    Raises `BaggieError` when the camera does not see the goal.
+    The policy looks again only when the gripper noticed that it held nothing: never because of what the simulator alone
+    knows.
     """
-    began = time.perf_counter()
-    cell = bench.cell
-    cell.reset([*stream, number])
-    start = bench.bag_at_start()
-    pose = bench.goal = draw_goal(cell, start, goal_kind, (*stream, number))
-    if goal_kind == "card":
-        cell.lay_card(pose)
-    filming = cell.film(fps=FILM_FPS) if film else contextlib.nullcontext([])
-    with filming as frames:
-        turns = _take_turns(bench, goal_kind, (*stream, number), retries)
-        after = cell.look()
-    final, symmetry = bench.bag_in(after), cell.settings.object_symmetry
-    plan, outcome = (turns.last.plan, turns.last.outcome) if turns.last else (None, None)
-    scene = EpisodeScene(cell, pose, turns.bag, final)
-    save_pictures(out / f"episode-{number:04d}", scene, before=(turns.seen, turns.goal, plan), after=after)
-    if frames:
-        save_mp4(out / f"episode-{number:04d}.mp4", frames, PLAY_FPS)
-    return Episode(
-        episode=number,
-        start=(start.x, start.y, start.yaw),
-        goal=(pose.x, pose.y, pose.yaw),
-        final=(final.x, final.y, final.yaw),
-        distance_cm=position_error_cm(final, pose),
-        yaw_error_deg=yaw_error_deg(final, pose, symmetry),
-        planned=tuple(plan.action.to_array().tolist()) if plan else None,
-        executed=tuple(outcome.executed.to_array().tolist()) if outcome else None,
-        pick_error_cm=position_error_cm(plan.action.pick, turns.bag) if plan else None,
-        place_error_cm=position_error_cm(plan.action.place, pose) if plan else None,
-        pick_yaw_error_deg=yaw_error_deg(plan.action.pick, turns.bag, symmetry) if plan else None,
-        pick_within_m=plan.pick_within_m if plan else None,
-        place_within_m=plan.place_within_m if plan else None,
-        confidence=plan.confidence if plan else 0.0,
-        looks=len(turns.decision_ms),
-        failure=turns.last.failure if turns.last else "no-card",
-        message=turns.message,
-        decision_ms=tuple(turns.decision_ms),
-        wall_s=time.perf_counter() - began,
+
+    film_fps = (
+        10  # so that videos are twice as fast as it was: half the frames to draw, and nobody has to wait
     )
 
+    def __init__(self, setup: Setup, options: EvaluateOptions, stream: Sequence[int], stem: Path) -> None:
+        """Draw the goal, and lay a card there where it is given by one."""
+        self._setup, self._kind, self._stream, self._stem = setup, options.goal, stream, stem
+        self.most_steps = 1 + options.retries
+        self.over = False
+        self._start = setup.object_at_start()
+        self._goal = draw_goal(setup.cell, self._start, self._kind, stream)
+        setup.cell.give_goal(self._goal)
+        if self._kind == "card":
+            setup.cell.lay_card(self._goal)
+        self._told: Goal | None = None
+        self._failure = self._message = ""
+        self._last: Trial | None = None
 
-@dataclass
-class _Turns:
-    """Look, plan, move, check, until the gripper has held something."""
+    def look(self, seen: Observation) -> Goal | None:
+        """The goal, as it was told in the first picture. Raises `NoCardError` where there is no card to be seen in it."""
+        self._seen, self._object = seen, self._setup.object_in(seen)
+        if self._told is None:
+            try:
+                goal = goal_in(self._setup, self._kind, self._goal, seen, self._stream)
+            except NoCardError as error:
+                self._failure, self._message = "no-card", str(error)
+                raise
+            check_goal(goal, seen.size)
+            self._told = goal
+        return self._told
 
-    seen: Observation
-    """The picture the last plan was made from."""
-    bag: PlanarPose
-    """Where the bag was in it; a missed grasp may have moved it."""
-    goal: Goal | None = None
-    """As the policy was told it; None where the card was not found."""
-    last: Turn | None = None
-    """None without a goal."""
-    message: str = ""
-    decision_ms: list[float] = field(default_factory=list)
+    def judge(self, trial: Trial) -> Step:
+        """How far pick and place were off; anything but a missed grasp ends the episode."""
+        self._last, self._failure, self._message = trial, trial.failure, trial.message
+        self.over = trial.failure != "missed-grasp"
+        if trial.plan is None:
+            return trial.logged()
+        action, symmetry = trial.plan.action, self._setup.cell.settings.object_symmetry
+        return trial.logged(
+            pick_error_cm=position_error_cm(action.pick, self._object),
+            place_error_cm=position_error_cm(action.place, self._goal),
+            pick_yaw_error_deg=yaw_error_deg(action.pick, self._object, symmetry),
+        )
+
+    def end(self) -> None:
+        """What is measured is where the object is seen to lie."""
+
+    def ending(self, after: Observation) -> dict[str, Any]:
+        """Where the object came to lie."""
+        cell, goal, final = self._setup.cell, self._goal, self._setup.object_in(after)
+        scene = EpisodeScene(cell, goal, self._object, final)
+        plan = self._last.plan if self._last else None
+        save_pictures(self._stem, scene, before=(self._seen, self._told, plan), after=after)
+        start, end, there = ((pose.x, pose.y, pose.yaw) for pose in (self._start, goal, final))
+        landing = Landing(
+            start=start,
+            goal=end,
+            final=there,
+            distance_cm=position_error_cm(final, goal),
+            yaw_error_deg=yaw_error_deg(final, goal, cell.settings.object_symmetry),
+        )
+        return {"landing": landing, "failure": self._failure, "message": self._message}
 
 
-def _take_turns(bench: Bench, goal_kind: GoalKind, stream: Sequence[int], retries: int) -> _Turns:
-    cell = bench.cell
-    seen = cell.look()
-    turns = _Turns(seen, bench.bag_in(seen))
-    try:
-        goal = goal_in(bench, goal_kind, bench.goal, turns.seen, stream)
-    except NoCardError as error:
-        turns.message = str(error)
-        return turns
-    check_goal(goal, turns.seen.size)
-    turns.goal = goal
-    for look_again in range(1 + retries):
-        if look_again:
-            turns.seen = cell.look()
-            turns.bag = bench.bag_in(turns.seen)
-        turns.last = turn = take_turn(bench.policy, cell, turns.seen, goal)
-        turns.decision_ms.append(turn.decision_ms)
-        turns.message = turn.message
-        if turn.failure != "missed-grasp":
-            break
-    return turns
+class ByConditions:
+    """Judges how much of a task that itself says where things go is done, as Ravens counts it and strictly.
+
+    A plan that the arm refuses takes a step, as a missed grasp does.
+    """
+
+    film_fps = 5  # so that videos are four times as fast as it was
+
+    def __init__(self, setup: Setup, options: EvaluateOptions, stem: Path) -> None:
+        self._cell, self._stem = setup.cell, stem
+        assert self._cell.scene is not None, "only a simulated cell says what counts"
+        self._conditions = self._cell.scene.conditions
+        self._score = Score(self._conditions)
+        self.most_steps = TASKS[options.task].max_steps
+        self._steps = 0
+        self._gave_up = self._strict = False
+        self._last: Trial | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether all is done as Ravens counts, or the policy gave up."""
+        return self._score.done or self._gave_up
+
+    def look(self, seen: Observation) -> Goal | None:
+        """There is no goal in the picture."""
+        if not self._steps:
+            save_map(self._picture("before"), seen)
+        self._seen = seen
+        return None
+
+    def judge(self, trial: Trial) -> Step:
+        """What it earned."""
+        if trial.plan:
+            ends = _pixels(self._cell, self._seen, trial.plan.action)
+            save_step(self._picture(f"step-{self._steps:02d}"), self._seen, trial.plan, ends)
+        self._last, self._steps, self._gave_up = trial, self._steps + 1, trial.gave_up
+        state = self._cell.state()
+        assert state is not None
+        return trial.logged(reward=self._score.count(state))
+
+    def end(self) -> None:
+        """Two seconds pass where all seems done."""
+        self._strict = strict_success(self._conditions, self._cell)
+
+    def ending(self, after: Observation) -> dict[str, Any]:
+        """How much was done."""
+        save_map(self._picture("after"), after)
+        credit = Credit(self._score.total, self._score.done, self._strict)
+        if self._strict:
+            return {"credit": credit, "failure": "", "message": ""}
+        failed, message = (self._last.failure, self._last.message) if self._last else ("", "")
+        failure = failed or ("ravens-only" if self._score.done else "unfinished")
+        return {"credit": credit, "failure": failure, "message": message}
+
+    def _picture(self, what: str) -> Path:
+        return self._stem.with_name(f"{self._stem.name}-{what}.jpg")
+
+
+def run_episode(setup: Setup, number: int, options: EvaluateOptions) -> Episode:
+    """Run the episode with a number; its pictures, and a video of the first ones, go to `options.out/episodes`.
+
+    Raises `BaggieError` when the camera does not see the goal.
+    """
+    began, cell = time.perf_counter(), setup.cell
+    stream = (EVALUATION, options.seed, number)
+    cell.reset(stream)
+    stem = options.out / "episodes" / f"episode-{number:04d}"
+    judge: Judge
+    if TASKS[options.task].has_goal:
+        judge = ByDistance(setup, options, stream, stem)
+    else:
+        judge = ByConditions(setup, options, stem)
+    steps: list[Step] = []
+    policy = remembering(setup.policy)
+    with contextlib.ExitStack() as stack:
+        frames = stack.enter_context(cell.film(fps=judge.film_fps)) if number < options.film else []
+        with contextlib.suppress(NoCardError):
+            while not judge.over and len(steps) < judge.most_steps:
+                seen = cell.look()
+                goal = judge.look(seen)
+                steps.append(judge.judge(try_plan(policy, cell, seen, goal)))
+        judge.end()
+        after = cell.look()
+    ending = judge.ending(after)
+    if frames:
+        save_mp4(stem.with_name(f"{stem.name}.mp4"), frames, PLAY_FPS)
+    return Episode(episode=number, steps=tuple(steps), wall_s=time.perf_counter() - began, **ending)
+
+
+def _pixels(cell: Workcell, seen: Observation, action: PickPlace) -> FloatArray:
+    """`(2, 2)`: where pick and place appear in a picture."""
+    if seen.grid is not None:
+        return seen.grid.to_pixels([action.pick.xy, action.place.xy])
+    return np.array([cell.outline(pose).mean(axis=0) for pose in (action.pick, action.place)])

@@ -12,12 +12,13 @@ from baggie import seeds
 from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.machine import random_place
 from baggie.errors import BaggieError
-from baggie.evaluation.setup import Bench, EvaluationCell
+from baggie.evaluation.setup import Setup
 from baggie.geometry import PlanarPose
 from baggie.options.choices import GoalKind
 from baggie.seeds import first_fit
 from baggie.types import Goal, Observation
 from baggie.vision.goal_card import find_card
+from baggie.workcell.workcell import Workcell
 
 CLEARANCE_M = 0.16
 """Between a goal and what stands there or a bag that is to stay: two bags lie side by side, not on each other."""
@@ -33,15 +34,14 @@ class NoCardError(BaggieError):
     """The goal card is not to be seen."""
 
 
-def draw_goal(cell: EvaluationCell, bag: PlanarPose, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
+def draw_goal(cell: Workcell, bag: PlanarPose, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
     """Where the bag is to go: as the collector draws places, uniform in the workspace, at least 20 cm from where it is.
 
     Square to the workspace if `virtual`, else at any angle; at least 16 cm from obstacles and from a second bag. Raises
     `BaggieError` where there is no such place.
     """
     rng = seeds.generator(*stream, _GOALS)
-    second = cell.second_truth()
-    occupied = [*cell.obstacles(), *([second] if second else [])]
+    occupied = _occupied(cell)
     pose = first_fit(
         lambda: random_place(cell.settings.workspace, bag, rng),
         lambda place: all(place.distance(other) >= CLEARANCE_M for other in occupied),
@@ -59,32 +59,40 @@ def draw_goal(cell: EvaluationCell, bag: PlanarPose, kind: GoalKind, stream: Seq
     return replace(pose, yaw=float(rng.uniform(-half, half)))
 
 
-def goal_in(bench: Bench, kind: GoalKind, pose: PlanarPose, seen: Observation, stream: Sequence[int]) -> Goal:
+def _occupied(cell: Workcell) -> list[PlanarPose]:
+    """Where things stand, or are to stay, as far as anybody knows."""
+    state = cell.state()
+    if state is None:
+        return []
+    return [*state.obstacles, *(state.places[name] for name in (cell.scene.staying if cell.scene else ()))]
+
+
+def goal_in(setup: Setup, kind: GoalKind, pose: PlanarPose, seen: Observation, stream: Sequence[int]) -> Goal:
     """The goal as the policy is told it in the picture `seen`, with a click on the bag where there are two.
 
-    A card's corners are those found in the picture, raised to the bag's height where the bench has a map for that.
+    A card's corners are those found in the picture, raised to the bag's height where the setup has a map for that.
     Raises `NoCardError` where it is not found.
     """
-    cell = bench.cell
-    object_at = _click(cell, bench.bag_in(seen), stream) if cell.second_truth() else None
+    cell = setup.cell
+    object_at = _click(cell, setup.object_in(seen), stream) if cell.scene and cell.scene.staying else None
     if kind != "card":
-        return Goal(cell.goal_corners(pose), object_at=object_at)
+        return Goal(cell.outline(pose), object_at=object_at)
     card = find_card(seen.color)
     if card is None:
         raise NoCardError(
             "expected the goal card in the picture, found none; lay it where the camera sees all of it"
         )
     corners = card.corners
-    if bench.image_to_robot is not None:
-        to_robot = bench.image_to_robot.for_size(seen.size)
+    if setup.image_to_robot is not None:
+        to_robot = setup.image_to_robot.for_size(seen.size)
         corners = raise_card(corners, to_robot, cell.settings.object_size_m[2] / 2)
     return Goal(corners, "card", card.color, object_at)
 
 
-def _click(cell: EvaluationCell, bag: PlanarPose, stream: Sequence[int]) -> tuple[float, float]:
+def _click(cell: Workcell, bag: PlanarPose, stream: Sequence[int]) -> tuple[float, float]:
     """A pixel on the bag to be moved, uniform within 2 cm of its middle."""
     rng = seeds.generator(*stream, _CLICKS)
     radius, angle = CLICK_M * math.sqrt(rng.random()), rng.uniform(-math.pi, math.pi)
     there = PlanarPose(bag.x + radius * math.cos(angle), bag.y + radius * math.sin(angle))
-    u, v = np.asarray(cell.goal_corners(there)).mean(axis=0)
+    u, v = np.asarray(cell.outline(there)).mean(axis=0)
     return float(u), float(v)

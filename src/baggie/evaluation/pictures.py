@@ -1,9 +1,4 @@
-"""What an evaluation shows: planned and true places marked in pictures, heat maps over them, short videos.
-
-Pictures of height maps: the table from straight above, and over it a plan and its heat maps.
-
-The pictures an episode leaves: before with the plan in it, after with where the bag lies, heat maps.
-"""
+"""What an evaluation shows: planned and true places marked in pictures, heat maps over them, short videos."""
 
 from __future__ import annotations
 
@@ -16,11 +11,11 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.evaluation.setup import EvaluationCell
 from baggie.files import write_bytes, written_whole
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.types import Goal, Image, Observation, Plan
 from baggie.vision.draw import paint_goal
+from baggie.workcell.workcell import Workcell
 
 PLANNED = (255, 64, 160)
 """Magenta, for what a policy wants: neither bags (red), goals (green) nor tables are so."""
@@ -240,20 +235,20 @@ def _whole(seen: Observation) -> Region:
 class EpisodeScene:
     """Where the bag should end, was when the last plan was made, and did end, in the cell it was in."""
 
-    cell: EvaluationCell
+    cell: Workcell
     goal: PlanarPose
     bag: PlanarPose
     final: PlanarPose
 
     def pixel(self, pose: PlanarPose) -> FloatArray:
         """`(2,)`: where the middle of a bag there appears."""
-        return np.asarray(self.cell.goal_corners(pose).mean(axis=0))
+        return np.asarray(self.cell.outline(pose).mean(axis=0))
 
     def region(self, size: tuple[int, int]) -> Region:
         """The part of the picture in which bags can lie."""
         area = self.cell.settings.workspace
         corners = [PlanarPose(x, y) for x in (area.x_min, area.x_max) for y in (area.y_min, area.y_max)]
-        return Region.around(np.vstack([self.cell.goal_corners(corner) for corner in corners]), size)
+        return Region.around(np.vstack([self.cell.outline(corner) for corner in corners]), size)
 
 
 def save_pictures(
@@ -282,5 +277,5 @@ def save_pictures(
     else:
         save_jpeg(stem.with_name(stem.name + "-before.jpg"), region.cut(shown))
     end = Mark("end", scene.pixel(scene.final), scene.pixel(scene.goal))
-    outlined = paint_goal(after.color, Goal(scene.cell.goal_corners(scene.goal), "outline"))
+    outlined = paint_goal(after.color, Goal(scene.cell.outline(scene.goal), "outline"))
     save_jpeg(stem.with_name(stem.name + "-after.jpg"), marked(outlined, region, [end]))

@@ -28,7 +28,7 @@ from baggie.learning.split import demonstration, with_after
 from baggie.learning.symmetry import found_symmetries, turn_onto
 from baggie.metrics import Rate, success_rate
 from baggie.registry import TASKS
-from baggie.tasks.scoring import counts
+from baggie.tasks.conditions import counts
 from baggie.types import Attempt, Observation, PickPlace
 from baggie.vision.carried import CHANGED_M, ON_IT_PX, Carried, Mask, middle_of
 

@@ -1,23 +1,211 @@
-"""What an episode needs: a cell, where its bag is, and the policy to try in it."""
+"""The cell and the policy that `baggie evaluate` names, put together."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from baggie.calibration.files import MAP_FILE
+from baggie.calibration.files import MAP_FILE, REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
+from baggie.collect.calibrate import calibrate_into
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
-from baggie.evaluation.subjects import config_of, in_its_cell
-from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.evaluation.subjects import (
+    calibration_folder,
+    config_of,
+    in_its_cell,
+    open_policy,
+)
+from baggie.geometry import PlanarPose
+from baggie.operator import Operator, progress
 from baggie.options.evaluating import EvaluateOptions
-from baggie.policies import ColorMaskPolicy, Policy
-from baggie.robot.limits import Limits
-from baggie.types import Image, Observation, Outcome, Plan
+from baggie.pictures import read_picture, same_shape
+from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy
+from baggie.policies.checkpoint import check_camera
+from baggie.policies.color_mask import CONFIG_FILE
+from baggie.policies.exported import ExportedPolicy
+from baggie.registry import TASKS
+from baggie.sim.cell import PICTURE_SIZE
+from baggie.types import Goal, Observation, Plan
+from baggie.workcell.by_color import detect
+from baggie.workcell.workcell import Watch, Workcell, at_outline
+
+Find = Callable[[Observation], PlanarPose]
+"""Where a picture shows the object, robot base frame. Raises `BaggieError` where it does not."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A cell and the policy to try in it."""
+
+    cell: Workcell
+    policy: Policy
+    image_to_robot: ImageToRobot | None = None
+    """A map of this cell that knows more than one height: with it a card's corners are raised to the object's."""
+    find: Find | None = None
+    """Where a picture shows the object: for a cell of which nobody knows the state."""
+
+    def object_in(self, seen: Observation) -> PlanarPose:
+        """Where the object was in the last picture: the truth, which is what it was then, or else as that shows."""
+        return self._known() or self._found(seen)
+
+    def object_at_start(self) -> PlanarPose:
+        """Where the object lies in a scene that has just begun: the truth, or else as a picture of it shows.
+
+        Raises `BaggieError` where that shows none, or one that lies where no plan gets it back: that takes a person.
+        """
+        if (known := self._known()) is not None:
+            return known
+        here, reach = self._found(self.cell.look()), self.cell.settings.limits.workspace
+        if not reach.contains(here.x, here.y):
+            raise BaggieError(
+                f"expected the object within {reach}, got it at x {here.x:.2f} m, y {here.y:.2f} m; put it back and "
+                "give the same command again: it goes on from there"
+            )
+        return here
+
+    def _known(self) -> PlanarPose | None:
+        state, scene = self.cell.state(), self.cell.scene
+        return None if state is None or scene is None else state.places[scene.carried.name]
+
+    def _found(self, seen: Observation) -> PlanarPose:
+        assert self.find is not None, "nobody knows where the object is"
+        return self.find(seen)
+
+
+class ObjectFinder:
+    """Finds the object of a real workcell by its colour, and by the workcell's map from the picture to the robot.
+
+    What is measured by it is as right as that map; the policy does not need it.
+    """
+
+    def __init__(self, cell: Workcell, path: Path) -> None:
+        """`path`: of the workcell's file, for people. Raises `BaggieError` where it names no map."""
+        if cell.calibrations.image_to_robot is None:
+            raise BaggieError(
+                f"expected image_to_robot below `calibrations` in {path}, to measure where bags end, got none; make "
+                f"one with: baggie calibrate image-to-robot --workcell {path}"
+            )
+        self._settings, self._path = cell.settings, path
+        self.image_to_robot = at_outline(cell.calibrations.image_to_robot, cell.settings).for_size(
+            cell.camera.size
+        )
+
+    def __call__(self, seen: Observation) -> PlanarPose:
+        """Where a picture shows the object. Raises `BaggieError` where it shows none."""
+        found = detect(seen, self.image_to_robot, self._settings)
+        if found is None:
+            raise BaggieError(
+                f"expected an object of colour RGB {self._settings.object_color} in the picture of {self._path}, found "
+                "none; bring it back into view and give the same command again: it goes on from there"
+            )
+        return found[1]
+
+
+class ColorOfTheBag(Policy):
+    """The colour mask, told the colour of the bag in each scene: what a person writes into the workcell's file."""
+
+    name = ColorMaskPolicy.name
+
+    def __init__(self, policy: ColorMaskPolicy, cell: Workcell) -> None:
+        self.policy, self.cell = policy, cell
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """What the colour mask plans for an object of the colour in the cell's settings."""
+        self.policy.object_color = self.cell.settings.object_color
+        return self.policy.plan(observation, goal)
+
+
+def open_setup(options: EvaluateOptions) -> Setup:
+    """The cell and the policy that the options name. Raises `BaggieError` where they do not go together."""
+    return _open_real(options, options.workcell) if options.workcell is not None else _open_simulated(options)
+
+
+def _open_real(options: EvaluateOptions, path: Path) -> Setup:
+    """In a real workcell things are where its own camera sees them; `color-mask` plans with the workcell's own map."""
+    from baggie.workcell.config import RealWorkcell, open_workcell  # noqa: PLC0415 -- as below
+
+    cell = open_workcell(path)
+    try:
+        if not isinstance(cell, RealWorkcell):
+            raise BaggieError(
+                f"expected a real arm in {path}, got a simulated workcell; give its number: --cell N"
+            )
+        find = ObjectFinder(cell, path)
+        policy: Policy
+        if options.policy == ColorMaskPolicy.name and options.calibration is None:
+            policy = ColorMaskPolicy(find.image_to_robot, cell.settings.object_color)
+        else:
+            policy = open_policy(options.policy, options.calibration, options.device)
+        if isinstance(policy, LearnedPolicy | ExportedPolicy):
+            check_camera(cell.camera.size, policy.camera_size)
+    except BaggieError:
+        cell.close()
+        raise
+    return Setup(cell, policy, find.image_to_robot, find)
+
+
+def _open_simulated(options: EvaluateOptions) -> Setup:
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
+
+    task = TASKS[options.task]
+    size = camera_size(options) if task.view == "camera" else PICTURE_SIZE
+    cell = open_simulated(
+        options.cell, options.task, scenery=options.scenery, picture_size=size, depth=task.depth
+    )
+    reference = _reference(options) if task.has_goal else None
+    cell.watch = Watch(read_picture(reference)) if reference else None
+    map_file = card_map(options)
+    to_robot = ImageToRobot.load(map_file) if map_file else None
+    if options.policy == OraclePolicy.name:
+        return Setup(cell, OraclePolicy(cell.demonstrate), to_robot)
+    policy = open_policy(options.policy, options.calibration or options.out, options.device)
+    return Setup(
+        cell, ColorOfTheBag(policy, cell) if isinstance(policy, ColorMaskPolicy) else policy, to_robot
+    )
+
+
+def camera_size(options: EvaluateOptions) -> tuple[int, int]:
+    """`(width, height)` of the pictures of the camera that the policy knows, pixels; the simulator's own for others."""
+    if options.policy == OraclePolicy.name:
+        return PICTURE_SIZE
+    if options.policy == ColorMaskPolicy.name:
+        folder = calibration_folder(options.calibration or options.out)
+        return ColorMaskPolicy.load(folder).image_to_robot.camera.size
+    width, height = config_of(options.policy)["camera_size"]
+    # A size that nobody wrote down is that of the recorded pictures, and the simulator's camera has a finer one.
+    return PICTURE_SIZE if same_shape((width, height), PICTURE_SIZE) else (width, height)
+
+
+def _reference(options: EvaluateOptions) -> Path | None:
+    """What the camera saw when the policy's cell was calibrated, if that is known and it is this cell, as it was."""
+    if options.scenery != "plain":
+        return None  # another table or lamp is no bump
+    folder = Path(options.policy)
+    if options.policy == ColorMaskPolicy.name:
+        folder = (options.calibration or options.out) / CALIBRATION_FOLDER
+    elif not in_its_cell(options.policy, options.cell):
+        return None
+    return folder / REFERENCE_FILE if (folder / REFERENCE_FILE).exists() else None
+
+
+def calibrate_if_needed(options: EvaluateOptions, operator: Operator) -> None:
+    """Calibrate the cell for `color-mask`, once for all processes, unless a calibration is given."""
+    folder = options.out / CALIBRATION_FOLDER
+    needed = (
+        options.policy == ColorMaskPolicy.name and options.workcell is None and options.calibration is None
+    )
+    if not needed or (folder / CONFIG_FILE).exists():
+        return
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
+
+    with (
+        progress(operator, "calibrating the picture to the robot"),
+        closing(open_simulated(options.cell)) as cell,
+    ):
+        calibrate_into(folder, cell, options.seed)
 
 
 def card_map(options: EvaluateOptions) -> Path | None:
@@ -39,114 +227,3 @@ def card_map(options: EvaluateOptions) -> Path | None:
 def _raises(map_file: Path) -> bool:
     """Whether there is a map that knows more than one height."""
     return map_file.exists() and ImageToRobot.load(map_file).height_aware
-
-
-Find = Callable[[Observation], PlanarPose]
-"""Where a picture shows the bag, robot base frame. Raises `BaggieError` where it does not."""
-
-
-class Settings(Protocol):
-    """What an episode must know of a workcell's settings."""
-
-    @property
-    def workspace(self) -> Rectangle:
-        """Where bags may lie, robot base frame, metres."""
-        ...
-
-    @property
-    def limits(self) -> Limits:
-        """Where the hand may go."""
-        ...
-
-    @property
-    def object_size_m(self) -> tuple[float, float, float]:
-        """Length, width and resting height of the bag in the scene."""
-        ...
-
-    @property
-    def object_symmetry(self) -> int:
-        """How many times a turn it looks the same; 0 for a round one."""
-        ...
-
-
-class EvaluationCell(Protocol):
-    """A workcell whose scenes can be set: a simulated one, or a real one as it is."""
-
-    @property
-    def settings(self) -> Settings:
-        """What it is; in some sceneries another bag in every scene."""
-        ...
-
-    def reset(self, seed: Sequence[int]) -> None:
-        """A new scene, drawn from the random stream with this name; no card lies there."""
-        ...
-
-    def look(self) -> Observation:
-        """A picture with the arm out of view."""
-        ...
-
-    def carry_out(self, plan: Plan) -> Outcome:
-        """Pick and place; raises `UnsureError`, `LimitError` and `ReachError`."""
-        ...
-
-    def truth(self) -> PlanarPose | None:
-        """Where the bag is now; None where nobody knows."""
-        ...
-
-    def second_truth(self) -> PlanarPose | None:
-        """Where a bag is that is to stay, if there is one."""
-        ...
-
-    def obstacles(self) -> list[PlanarPose]:
-        """Where things stand that no bag may be put on."""
-        ...
-
-    def goal_corners(self, pose: PlanarPose) -> FloatArray:
-        """`(4, 2)` pixels: the outline of a bag resting there, in the true camera."""
-        ...
-
-    def lay_card(self, pose: PlanarPose | None) -> None:
-        """Lay the goal card on the table, or take it away."""
-        ...
-
-    def film(self, size: tuple[int, int] = ..., fps: int = ...) -> AbstractContextManager[list[Image]]:
-        """Frames of the arm at work while open."""
-        ...
-
-
-@dataclass
-class Bench:
-    """A cell and the policy to try in it."""
-
-    cell: EvaluationCell
-    policy: Policy
-    image_to_robot: ImageToRobot | None = None
-    """A map of this cell that knows more than one height: with it a card's corners are raised to the bag's."""
-    find: Find | None = None
-    """Where a picture shows the bag: for a cell of which nobody knows the truth."""
-    goal: PlanarPose = field(init=False)
-    """Where the bag is to go in this episode; only an oracle may ask."""
-
-    def bag_at_start(self) -> PlanarPose:
-        """Where the bag lies in a scene that has just begun: the truth, or else as a picture of it shows.
-
-        Raises `BaggieError` where that shows none, or one that lies where no plan gets it back: that takes a person.
-        """
-        truth = self.cell.truth()
-        if truth is not None:
-            return truth
-        bag, reach = self.bag_in(self.cell.look()), self.cell.settings.limits.workspace
-        if not reach.contains(bag.x, bag.y):
-            raise BaggieError(
-                f"expected the object within {reach}, got it at x {bag.x:.2f} m, y {bag.y:.2f} m; put it back and give "
-                "the same command again: it goes on from there"
-            )
-        return bag
-
-    def bag_in(self, seen: Observation) -> PlanarPose:
-        """Where the bag was in the last picture: the truth, which is what it was then, or else as the picture shows."""
-        truth = self.cell.truth()
-        if truth is not None:
-            return truth
-        assert self.find is not None, "nobody knows where the bag is"
-        return self.find(seen)

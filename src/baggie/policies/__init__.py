@@ -10,13 +10,12 @@ if TYPE_CHECKING:
     from baggie.policies.color_mask import ColorMaskPolicy
     from baggie.policies.keypoint.policy import KeypointPolicy
     from baggie.policies.learned import LearnedPolicy
-    from baggie.policies.oracle import DemonstratorPolicy, OraclePolicy
+    from baggie.policies.oracle import OraclePolicy
     from baggie.policies.regression.policy import RegressionPolicy
     from baggie.policies.transporter.policy import TransporterPolicy
 
 __all__ = [
     "ColorMaskPolicy",
-    "DemonstratorPolicy",
     "KeypointPolicy",
     "LearnedPolicy",
     "OraclePolicy",

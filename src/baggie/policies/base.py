@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _HERE = "baggie.policies"
 CLASSES = {
     "ColorMaskPolicy": "color_mask",
-    "DemonstratorPolicy": "oracle",
     "KeypointPolicy": "keypoint.policy",
     "LearnedPolicy": "learned",
     "OraclePolicy": "oracle",

@@ -85,7 +85,7 @@ Colors = Mapping[str, str]
 
 
 def success_curves(distances_cm: Mapping[str, Sequence[float]], colors: Colors, radius_cm: float) -> str:
-    """The share of bags within each distance of their goal, by policy, with its 95% band."""
+    """The share of objects within each distance of their goal, by policy, with its 95% band."""
     figure, axes = canvas(5.2, 4.2)
     reach = max(5.0, 1.5 * radius_cm)
     radii = np.linspace(0, reach, 201)
@@ -96,12 +96,12 @@ def success_curves(distances_cm: Mapping[str, Sequence[float]], colors: Colors, 
         axes.fill_between(radii, low, high, color=color, alpha=0.14, linewidth=0)
         axes.plot(radii, [100 * rate["rate"] for rate in rates], color=color, label=name)
     axes.axvline(radius_cm, color=MUTED, linewidth=1, linestyle=(0, (4, 3)))
-    axes.set(xlabel="distance from the goal (cm)", ylabel="bags within (%)", xlim=(0, reach), ylim=(0, 103))
+    axes.set(xlabel="distance from the goal (cm)", ylabel="things within (%)", xlim=(0, reach), ylim=(0, 103))
     return svg(figure, axes)
 
 
 def landings(offsets_cm: Mapping[str, FloatArray], colors: Colors, radius_cm: float) -> str:
-    """Where the bags came to lie around their goals, by policy: arrays `(N, 2)` of x and y, centimetres."""
+    """Where objects came to lie around their goals, by policy: arrays `(N, 2)` of x and y, centimetres."""
     figure, axes = canvas(5.2, 4.2)
     reach = max(3.5, 1.6 * radius_cm)
     angle = np.linspace(0, 2 * np.pi, 181)

@@ -6,19 +6,20 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baggie.evaluation import block_episode, episode
+from baggie.evaluation.episode import PLAY_FPS, ByConditions, ByDistance
+from baggie.evaluation.log import Credit, Episode, Landing
+from baggie.evaluation.terms import Terms
 from baggie.evaluation.validate import HEIGHT_MAPS
 from baggie.geometry import FloatArray
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Steps and values, `(N,)` each."""
 BASELINES = ("color-mask", "oracle")
-_GOALS = {"turned": "turned goals", "card": "card"}
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,10 @@ class Reported:
 
     folder: Path
     policy: str
-    """Its name; with the run's where several runs of one policy are reported."""
     run: str
     metrics: dict[str, Any]
+    label: str
+    """What its row and its curves are called: the policy, and whatever tells it from others on the page."""
 
 
 @dataclass(frozen=True)
@@ -68,94 +70,55 @@ class Validation(Reported):
 
 
 @dataclass(frozen=True)
-class Tried(Reported):
-    """A folder that evaluate wrote, of any kind of task."""
+class Evaluation(Reported):
+    """A folder that evaluate wrote."""
 
-    speed: ClassVar[float]
-    """Of its videos, in times the real one."""
+    terms: Terms
+    episodes: list[Episode]
 
     def picture(self, number: int, kind: str) -> Path:
-        """`before`, `after`, `heat` or `step-SS`; may be missing."""
+        """The picture `before`, `after`, `heat` or `step-SS` of an episode; may be missing."""
         return self.folder / "episodes" / f"episode-{number:04d}-{kind}.jpg"
 
     def videos(self) -> list[Path]:
-        """Those there are, in the order of the episodes."""
+        """The videos there are, in the order of the episodes."""
         return sorted((self.folder / "episodes").glob("episode-????.mp4"))
+
+    @property
+    def speed(self) -> float:
+        """How many times faster than it was its videos show it."""
+        return PLAY_FPS / (ByDistance if self.landings() else ByConditions).film_fps
+
+    def landings(self) -> list[Landing]:
+        """Where objects ended, of every episode with a goal in the picture."""
+        return [each.landing for each in self.episodes if each.landing is not None]
+
+    def credits(self) -> list[Credit]:
+        """How much was done, of every episode of a task that itself says where things go."""
+        return [each.credit for each in self.episodes if each.credit is not None]
+
+    def distances_cm(self) -> list[float]:
+        """From object to goal at the end, of every episode with a goal in the picture."""
+        return [landing.distance_cm for landing in self.landings()]
+
+    def offsets_cm(self) -> FloatArray:
+        """`(N, 2)`: from goal to object at the end, x and y."""
+        return np.array([100 * (np.array(e.final[:2]) - np.array(e.goal[:2])) for e in self.landings()])
 
     def ending(self, number: int) -> str:
         """How an episode ended, in words; empty where it is not known."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class Evaluation(Tried):
-    """With bags."""
-
-    speed: ClassVar[float] = episode.PLAY_FPS / episode.FILM_FPS
-    episodes: list[episode.Episode]
-
-    @property
-    def workcell(self) -> str | None:
-        """The file of the real one, whose camera is all that knows where bags are; None where it was simulated."""
-        return self.metrics.get("workcell")
-
-    @property
-    def place(self) -> str:
-        """Which workcell it was in."""
-        return self.workcell or f"cell {self.metrics['cell']}"
-
-    @property
-    def conditions(self) -> str:
-        """In what it differs from the plain closed loop: scenery, of a simulated cell, and how goals were given; empty
-        for nothing.
-        """
-        scenery, goal = self.metrics.get("scenery", "plain"), self.metrics["goal"]
-        return ", ".join(
-            [*([scenery] if scenery != "plain" else []), *([_GOALS[goal]] if goal != "virtual" else [])]
-        )
-
-    def distances_cm(self) -> list[float]:
-        """Of every episode, from bag to goal at the end."""
-        return [each.distance_cm for each in self.episodes]
-
-    def offsets_cm(self) -> FloatArray:
-        """`(N, 2)`: from goal to bag at the end, x and y."""
-        return np.array([100 * (np.array(e.final[:2]) - np.array(e.goal[:2])) for e in self.episodes])
-
-    def ending(self, number: int) -> str:
-        """How far from its goal the bag ended."""
-        found = [f"ends {e.distance_cm:.1f} cm from the goal" for e in self.episodes if e.episode == number]
+        found = [in_words(episode) for episode in self.episodes if episode.episode == number]
         return found[0] if found else ""
 
 
-@dataclass(frozen=True)
-class BlockEvaluation(Tried):
-    """With blocks."""
-
-    speed: ClassVar[float] = block_episode.PLAY_FPS / block_episode.FILM_FPS
-    episodes: list[block_episode.BlockEpisode]
-
-    @property
-    def task(self) -> str:
-        """What was to be done, by its name."""
-        return str(self.metrics["task"])
-
-    def credits(self) -> list[float]:
-        """Partial credit of every episode, in [0, 1] but for rounding."""
-        return [each.partial_credit for each in self.episodes]
-
-    def ending(self, number: int) -> str:
-        """Whether it was a success, else how much of the task was done."""
-        found = [in_words(each) for each in self.episodes if each.episode == number]
-        return found[0] if found else ""
-
-
-def in_words(tried: block_episode.BlockEpisode) -> str:
-    """How an episode with blocks ended."""
-    if tried.success:
-        return f"done in {len(tried.steps)} steps"
-    trouble = tried.message or tried.failure
-    return f"{100 * tried.partial_credit:.0f}% done in {len(tried.steps)} steps · {trouble}"
+def in_words(episode: Episode) -> str:
+    """How an episode ended: how far from the goal, or how much of the task was done."""
+    if episode.landing is not None:
+        return f"ends {episode.landing.distance_cm:.1f} cm from the goal"
+    if episode.credit is None or episode.credit.success:
+        return f"done in {len(episode.steps)} steps"
+    trouble = episode.message or episode.failure
+    return f"{100 * episode.credit.partial_credit:.0f}% done in {len(episode.steps)} steps · {trouble}"
 
 
 @dataclass(frozen=True)
@@ -165,21 +128,30 @@ class Results:
     trainings: list[Training]
     validations: list[Validation]
     evaluations: list[Evaluation]
-    blocks: list[BlockEvaluation]
 
-    def items(self) -> list[Training | Validation | Evaluation | BlockEvaluation]:
+    def items(self) -> list[Training | Validation | Evaluation]:
         """All of them."""
-        return [*self.trainings, *self.validations, *self.evaluations, *self.blocks]
+        return [*self.trainings, *self.validations, *self.evaluations]
 
     @property
-    def of_bags(self) -> bool:
-        """Whether there is anything about bags."""
-        cameras = [v for v in self.validations if v.metrics.get("pictures") != HEIGHT_MAPS]
-        return bool(self.evaluations or cameras)
+    def landed(self) -> list[Evaluation]:
+        """Those that tell how far from their goals objects ended."""
+        return [each for each in self.evaluations if each.landings()]
 
-    def policies(self) -> list[str]:
-        """Each policy once, baselines last."""
-        names = dict.fromkeys(item.policy for item in self.items())
+    @property
+    def credited(self) -> list[Evaluation]:
+        """Those that tell how much of a task was done."""
+        return [each for each in self.evaluations if each.credits()]
+
+    @property
+    def with_goals(self) -> bool:
+        """Whether there is anything about goals in pictures."""
+        cameras = [v for v in self.validations if v.metrics.get("pictures") != HEIGHT_MAPS]
+        return bool(self.landed or cameras)
+
+    def labels(self) -> list[str]:
+        """Each label once, baselines last."""
+        names = dict.fromkeys(item.label for item in self.items())
         return sorted(names, key=lambda name: name.startswith(BASELINES))
 
 

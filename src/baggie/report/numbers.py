@@ -1,7 +1,4 @@
-"""The report's headline numbers, and the table of all of them.
-
-What the report says of the labels a policy learned from: those that do not fit what the others agree on.
-"""
+"""The report's headline numbers, the table of all of them, and the labels that do not fit what others agree on."""
 
 from __future__ import annotations
 
@@ -15,7 +12,17 @@ from baggie.errors import BaggieError, DataError
 from baggie.evaluation.pictures import TRUE, Mark, jpeg, marked
 from baggie.evaluation.predictions import Scene
 from baggie.report.figures import SERIES
-from baggie.report.items import Content, Results, Training, Validation, embedded, ms, percent, with_interval
+from baggie.report.items import (
+    Content,
+    Evaluation,
+    Results,
+    Training,
+    Validation,
+    embedded,
+    ms,
+    percent,
+    with_interval,
+)
 from baggie.types import Attempt, Goal, Image
 from baggie.vision.draw import paint_goal
 
@@ -49,7 +56,7 @@ def _labels(training: Training) -> Content:
         {"attempt": d["attempt_id"], "what": d["what"], "off": f"{d['off_mm']:.1f} mm", "picture": picture}
         for d, picture in zip(doubtful, pictures, strict=True)
     ]
-    return {"policy": training.policy, "about": " ".join(about), "rows": rows, "pictured": any(pictures)}
+    return {"policy": training.label, "about": " ".join(about), "rows": rows, "pictured": any(pictures)}
 
 
 def _pictures(dataset: Dataset, doubtful: Sequence[dict[str, Any]]) -> list[str]:
@@ -87,7 +94,7 @@ _COLUMNS = (
     "success",
     "Ravens' success",
     "partial credit",
-    "bag to goal",
+    "distance from the goal",
     "decision",
     "pick and place inside their radius",
 )
@@ -97,27 +104,41 @@ def headline_tiles(results: Results, main: str) -> list[Content]:
     """Headline numbers of one policy, each beside those of the others."""
     tiles = []
     for what in ("pick", "place"):
-        values = {v.policy: v.metrics[v.reference][f"{what}_error_cm"] for v in results.validations}
+        values = {v.label: v.metrics[v.reference][f"{what}_error_cm"] for v in results.validations}
         if main in values:
             own = values.pop(main)
             detail = f"median {own['median']:.2f}, worst {own['max']:.2f}"
             beside = [(name, f"{other['mean']:.2f} cm") for name, other in values.items()]
             tiles.append(_tile(f"{what} error, mean", f"{own['mean']:.2f}", "cm", detail, beside))
-    return [*tiles, *_bag_tiles(results, main), *_block_tiles(results, main)]
+    return [*tiles, *_distance_tiles(results, main), *_credit_tiles(results, main)]
 
 
-def _bag_tiles(results: Results, main: str) -> list[Content]:
-    conditions = next((e.conditions for e in results.evaluations if e.policy == main), "")
-    # Beside it only what was put to the same test; the table of numbers has the rest.
-    metrics = {e.policy: e.metrics for e in results.evaluations if e.conditions == conditions}
-    if main not in metrics:
+def _same_test(evaluations: Sequence[Evaluation], main: str) -> tuple[Evaluation | None, dict[str, Content]]:
+    """The evaluation labelled `main`, and beside it the metrics of what was put to the same test, by label.
+
+    The table of numbers has the rest.
+    """
+    own = next((each for each in evaluations if each.label == main), None)
+    if own is None:
+        return None, {}
+    terms = own.terms
+    return own, {
+        each.label: each.metrics
+        for each in evaluations
+        if each.label != main and (each.terms.task, each.terms.harder) == (terms.task, terms.harder)
+    }
+
+
+def _distance_tiles(results: Results, main: str) -> list[Content]:
+    evaluation, metrics = _same_test(results.landed, main)
+    if evaluation is None:
         return []
-    own = metrics.pop(main)
+    own = evaluation.metrics
     distance, others = own["distance_cm"], metrics.items()
     return [
-        _success_tile(f"bags within {own['radius_cm']:g} cm", "success", own, metrics),
+        _success_tile(f"within {own['radius_cm']:g} cm of the goal", "success", own, metrics),
         _tile(
-            "bag to goal, median",
+            "distance from the goal, median",
             f"{distance['median']:.2f}",
             "cm",
             f"mean {distance['mean']:.2f}, worst {distance['max']:.2f}",
@@ -127,15 +148,14 @@ def _bag_tiles(results: Results, main: str) -> list[Content]:
     ]
 
 
-def _block_tiles(results: Results, main: str) -> list[Content]:
-    task = next((e.task for e in results.blocks if e.policy == main), None)
-    metrics = {e.policy: e.metrics for e in results.blocks if e.task == task}
-    if main not in metrics:
+def _credit_tiles(results: Results, main: str) -> list[Content]:
+    evaluation, metrics = _same_test(results.credited, main)
+    if evaluation is None:
         return []
-    own = metrics.pop(main)
+    own = evaluation.metrics
     done, others = own["partial_credit"], metrics.items()
     return [
-        _success_tile(f"{task}, strictly done", "success", own, metrics),
+        _success_tile(f"{evaluation.terms.task}, strictly done", "success", own, metrics),
         _success_tile("done as Ravens counts", "ravens_success", own, metrics),
         _tile(
             "partial credit, mean",
@@ -176,9 +196,9 @@ def numbers(results: Results, policies: Sequence[str]) -> Content:
     """The table of all policies, a row each, without empty columns, and what to say about it."""
     cells: dict[str, dict[str, str]] = {policy: {} for policy in policies}
     for validation in results.validations:
-        cells[validation.policy] |= _of_validation(validation)
-    for tried in [*results.evaluations, *results.blocks]:
-        cells[tried.policy] |= _of_evaluation(tried.metrics)
+        cells[validation.label] |= _of_validation(validation)
+    for tried in results.evaluations:
+        cells[tried.label] |= _of_evaluation(tried.metrics)
     rows: list[Content] = [
         {
             "name": policy,
@@ -208,13 +228,13 @@ def _of_validation(validation: Validation) -> dict[str, str]:
 
 
 def _of_evaluation(metrics: Content) -> dict[str, str]:
-    """Of a task of any kind: what it has of these."""
+    """What an evaluation's metrics have of these."""
     found = {"success": with_interval(metrics["success"])}
     if "ravens_success" in metrics:
         found["Ravens' success"] = with_interval(metrics["ravens_success"])
         found["partial credit"] = f"{100 * metrics['partial_credit']['mean']:.0f}%"
     if "distance_cm" in metrics:
-        found["bag to goal"] = f"{metrics['distance_cm']['mean']:.2f} cm"
+        found["distance from the goal"] = f"{metrics['distance_cm']['mean']:.2f} cm"
     if "decision_ms" in metrics:
         found["decision"] = ms(metrics["decision_ms"]["median"])
     return found
@@ -226,11 +246,11 @@ def _about(results: Results, stated: bool) -> str:
     about = [f"Errors are means over held-out attempts, against {against}."] if references else []
     if stated:
         about.append("A plan states radii; picks and places should be inside theirs nine times of ten.")
-    if radii := sorted({e.metrics["radius_cm"] for e in results.evaluations}):
+    if radii := sorted({e.metrics["radius_cm"] for e in results.landed}):
         within = " or ".join(f"{radius:g}" for radius in radii)
-        about.append(f"Success is a bag within {within} cm of its goal.")
-    if results.blocks:
-        about.append("Success with blocks is strict; partial credit is a mean of what Ravens rewards.")
-    if radii or results.blocks:
+        about.append(f"With a goal in the picture, success is an object within {within} cm of it.")
+    if results.credited:
+        about.append("Success of other tasks is strict; partial credit is a mean of what Ravens rewards.")
+    if results.evaluations:
         about.append("Intervals are Wilson's, of 95%; decisions are medians.")
     return " ".join(about)

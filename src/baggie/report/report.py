@@ -1,14 +1,11 @@
-"""`baggie report`: one page, complete in itself, that shows how good a policy is and how it was measured.
-
-What a report is made of, read back from folders.
-"""
+"""`baggie report`: one page, complete in itself, that shows how good a policy is and how it was measured."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,21 +15,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.bag_place import BAGS
-from baggie.evaluation.block_episode import BLOCKS
-from baggie.evaluation.episode import EpisodeRecord
-from baggie.evaluation.log import read_log
+from baggie.evaluation.log import logs_in, read_episodes
+from baggie.evaluation.terms import Terms
 from baggie.files import only_ours, read_yaml, write_text
 from baggie.options.evaluating import ReportOptions
-from baggie.report.items import BASELINES, BlockEvaluation, Evaluation, Results, Series, Training, Validation
+from baggie.report.items import BASELINES, Evaluation, Results, Series, Training, Validation
 from baggie.report.sections import content
+from baggie.results import EVALUATION
 
 _EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
 """What TensorBoard's writer calls its files: time, machine, process and count."""
-Found = TypeVar("Found", Training, Validation, Evaluation, BlockEvaluation)
-
-
-Logged = TypeVar("Logged", bound=EpisodeRecord)
+Found = TypeVar("Found", Training, Validation, Evaluation)
 
 
 def gather(folders: Sequence[Path]) -> Results:
@@ -48,39 +41,40 @@ def gather(folders: Sequence[Path]) -> Results:
             )
     trainings = _read(folders, "config.yaml", _training)
     validations = _read(folders, "predictions.json", _validation)
-    evaluations = _read(folders, BAGS.log, _evaluation)
-    blocks = _read(folders, BLOCKS.log, _block_evaluation)
+    evaluations = _read(folders, EVALUATION, _evaluation)
     _check_told_apart(trainings)
     _check_told_apart(validations)
-    runs = {(item.policy, item.run) for item in Results(trainings, validations, evaluations, blocks).items()}
-    if not runs:
+    found = Results(trainings, validations, evaluations)
+    if not found.items():
         names = ", ".join(map(str, folders))
         raise BaggieError(
             f"found nothing to report in {names}; expected folders that train, validate or evaluate wrote"
         )
+    return labelled(found)
+
+
+def labelled(results: Results) -> Results:
+    """The same results, each with a label that tells it from what else is on the page.
+
+    A policy is as many rows as it has runs, and as there are terms it was tried on. Its first workcell, a simulated one
+    where there is one, goes without saying, as does its task where it is the only one.
+    """
+    runs = {(item.policy, item.run) for item in results.items()}
     several = {policy for policy, count in Counter(policy for policy, _ in runs).items() if count > 1}
 
     def named(items: Sequence[Found]) -> list[Found]:
-        return [replace(i, policy=f"{i.policy} ({i.run})") if i.policy in several else i for i in items]
+        return [replace(i, label=f"{i.policy} ({i.run})" if i.policy in several else i.policy) for i in items]
 
-    def told_apart(items: Sequence[Evaluation]) -> list[Evaluation]:
-        """Each under its conditions: a policy is as many rows as there are tests it was put to. Its first workcell, a
-        simulated one where there is one, goes without saying.
-        """
-        items = [replace(i, policy=f"{i.policy}, {i.conditions}") if i.conditions else i for i in items]
-        items = sorted(items, key=lambda i: i.workcell is not None)
-        first = {i.policy: i.place for i in reversed(items)}
-        return [
-            replace(i, policy=f"{i.policy}, {i.place}") if i.place != first[i.policy] else i for i in items
-        ]
-
-    bags = named(evaluations)
-    tests = Counter(item.policy for item in [*bags, *named(blocks)])
-
-    def by_task(items: Sequence[BlockEvaluation]) -> list[BlockEvaluation]:
-        return [replace(i, policy=f"{i.policy}, {i.task}") if tests[i.policy] > 1 else i for i in items]
-
-    return Results(named(trainings), named(validations), told_apart(bags), by_task(named(blocks)))
+    evaluations = sorted(named(results.evaluations), key=lambda each: each.terms.workcell is not None)
+    tests, first = Counter(each.label for each in evaluations), {}
+    for number, each in enumerate(evaluations):
+        task = each.terms.task if each.credits() and tests[each.label] > 1 else ""
+        label = ", ".join(filter(None, [each.label, task, each.terms.harder]))
+        place = first.setdefault(label, each.terms.place)
+        evaluations[number] = replace(
+            each, label=label if each.terms.place == place else f"{label}, {each.terms.place}"
+        )
+    return Results(named(results.trainings), named(results.validations), evaluations)
 
 
 def _check_told_apart(items: Sequence[Training | Validation]) -> None:
@@ -112,7 +106,8 @@ def _training(folder: Path) -> Training | None:
     if (metrics := _finished(folder)) is None:  # or somebody else's config.yaml
         return None
     config = read_yaml(folder / "config.yaml")
-    return Training(folder, str(config["policy"]), folder.name, metrics, config, _scalars(folder))
+    policy = str(config["policy"])
+    return Training(folder, policy, folder.name, metrics, policy, config, _scalars(folder))
 
 
 def _scalars(folder: Path) -> dict[str, Series]:
@@ -133,34 +128,25 @@ def _scalars(folder: Path) -> dict[str, Series]:
 
 def _validation(folder: Path) -> Validation:
     content, metrics = _json(folder / "predictions.json"), _json(folder / "metrics.json")
-    return Validation(
-        folder, metrics["policy"], metrics["run"], metrics, content["predictions"], content["worst"]
-    )
+    policy, run = metrics["policy"], metrics["run"]
+    return Validation(folder, policy, run, metrics, policy, content["predictions"], content["worst"])
 
 
 def _evaluation(folder: Path) -> Evaluation | None:
-    if (metrics := _finished(folder)) is None:
+    metrics = _finished(folder)
+    if metrics is None or not logs_in(folder):
         return None
-    episodes = _counted(read_log(folder / BAGS.log, BAGS.episode), metrics)
-    return Evaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
-
-
-def _block_evaluation(folder: Path) -> BlockEvaluation | None:
-    if (metrics := _finished(folder)) is None:
-        return None
-    episodes = _counted(read_log(folder / BLOCKS.log, BLOCKS.episode), metrics)
-    return BlockEvaluation(folder, metrics["policy"], metrics["run"], metrics, episodes)
+    logged = read_episodes(folder)
+    # More may be logged by now than the metrics are of.
+    episodes = [logged[number] for number in sorted(logged) if number < metrics["success"]["n"]]
+    policy, run = metrics["policy"], metrics["run"]
+    return Evaluation(folder, policy, run, metrics, policy, Terms.from_metrics(metrics), episodes)
 
 
 def _finished(folder: Path) -> dict[str, Any] | None:
     """The metrics; None while it is still running."""
     path = folder / "metrics.json"
     return _json(path) if path.exists() else None
-
-
-def _counted(episodes: Sequence[Logged], metrics: Mapping[str, Any]) -> list[Logged]:
-    """Those that the metrics are of, by their number."""
-    return sorted((e for e in episodes if e.episode < metrics["success"]["n"]), key=lambda e: e.episode)
 
 
 def _json(path: Path) -> Any:

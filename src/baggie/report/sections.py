@@ -9,10 +9,9 @@ from itertools import cycle
 import numpy as np
 
 from baggie.report import figures
-from baggie.report.closed_loop import WORST, blocks, closed_loop, videos
+from baggie.report.closed_loop import WORST, conditions, distance_cm, distances, videos
 from baggie.report.figures import SERIES
 from baggie.report.items import (
-    BlockEvaluation,
     Content,
     Evaluation,
     Results,
@@ -29,18 +28,18 @@ from baggie.report.items import (
 from baggie.report.numbers import headline_tiles, labels, numbers
 from baggie.results import origin_lines, provenance
 
-BAGS_TITLE, BLOCKS_TITLE = "Bags onto goals", "Blocks into place"
+GOALS_TITLE, TASKS_TITLE = "Things onto goals", "Things into place"
 
 
 def content(results: Results) -> Content:
     """Every variable of `report.html.j2`."""
-    policies = results.policies()
+    policies = results.labels()
     colors = dict(zip(policies, cycle(SERIES), strict=False))
     main = policies[0]
     sections = {
-        "videos": videos([*results.evaluations, *results.blocks], main),
-        "closed_loop": closed_loop(results.evaluations, main, colors),
-        "blocks": blocks(results.blocks, main, colors),
+        "videos": videos(results.evaluations, main),
+        "closed_loop": distances(results.landed, main, colors),
+        "tasks": conditions(results.credited, main, colors),
         "validation": _validation(results.validations, main, colors),
         "heat": _heat(results, main),
         "learning": _learning(results.trainings),
@@ -50,7 +49,7 @@ def content(results: Results) -> Content:
         "videos": ("video", "Video"),
         "numbers": ("numbers", "Numbers"),
         "closed_loop": ("closed-loop", "Closed loop"),
-        "blocks": ("blocks", "Blocks"),
+        "tasks": ("tasks", "Step by step"),
         "validation": ("validation", "Held-out attempts"),
         "heat": ("heat", "Heat maps"),
         "learning": ("learning", "Learning"),
@@ -61,7 +60,7 @@ def content(results: Results) -> Content:
         **sections,
         **numbers(results, policies),
         "tiles": headline_tiles(results, main),
-        "title": BAGS_TITLE if results.of_bags or not results.blocks else BLOCKS_TITLE,
+        "title": GOALS_TITLE if results.with_goals or not results.credited else TASKS_TITLE,
         "lead": _lead(results, main),
         "contents": [name for key, name in names.items() if sections.get(key, True)],
         "origins": _origins(results),
@@ -72,24 +71,26 @@ def content(results: Results) -> Content:
 def _lead(results: Results, main: str) -> str:
     said = []
     for training in results.trainings:
-        if training.policy == main and "train_s" in training.metrics:
+        if training.label == main and "train_s" in training.metrics:
             said.append(f"{main} was trained in {duration(training.metrics['train_s'])}.")
-    for evaluation in results.evaluations:
-        if evaluation.policy == main:
+    for evaluation in results.landed:
+        if evaluation.label == main:
             done, radius = in_numbers(evaluation.metrics["success"]), evaluation.metrics["radius_cm"]
             who = "It" if said else main
-            said.append(f"{who} moved {done} bags to within {radius:g} cm of goals new to it.")
-    for tried in results.blocks:
-        if tried.policy == main:
+            said.append(f"{who} moved {done} things to within {radius:g} cm of goals new to it.")
+    for tried in results.credited:
+        if tried.label == main:
             who = "It" if said else main
-            said.append(f"{who} did {tried.task} in {in_numbers(tried.metrics['success'])} scenes new to it.")
+            said.append(
+                f"{who} did {tried.terms.task} in {in_numbers(tried.metrics['success'])} scenes new to it."
+            )
     return " ".join(said) or f"Results of {main}."
 
 
 def _validation(validations: Sequence[Validation], main: str, colors: figures.Colors) -> Content | None:
     if not validations:
         return None
-    first = next((v for v in validations if v.policy == main), validations[0])
+    first = next((v for v in validations if v.label == main), validations[0])
     of = "true" if first.reference == "truth" else "recorded"
     vectors = []
     for what in ("pick", "place"):
@@ -97,13 +98,13 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
         # Errors are millimetres in half a metre of workspace: magnify the larger ones to about 5 cm.
         large = float(np.percentile(np.linalg.norm(predicted - true, axis=1), 90))
         magnify = float(np.clip(round(0.05 / max(large, 1e-4)), 1, 50))
-        svg = figures.error_vectors(true, predicted, colors[first.policy], magnify)
+        svg = figures.error_vectors(true, predicted, colors[first.label], magnify)
         note = f"From each {of} place (dot) towards the predicted one; arrows are {magnify:g} times too long."
-        vectors.append(figure(f"{what.capitalize()} errors over the workspace, {first.policy}", svg, note))
+        vectors.append(figure(f"{what.capitalize()} errors over the workspace, {first.label}", svg, note))
     spread = [
         figure(
             f"{what.capitalize()} errors",
-            figures.error_distribution({v.policy: v.errors_cm(what) for v in validations}, colors),
+            figures.error_distribution({v.label: v.errors_cm(what) for v in validations}, colors),
             "How many attempts have at most this error.",
         )
         for what in ("pick", "place")
@@ -128,7 +129,7 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
             f"{picks} of the picks and {places} of the places would count, within 1 cm and 15 degrees of any of them."
         )
     return {
-        "main": first.policy,
+        "main": first.label,
         "about": about,
         "figures": [*vectors, *spread],
         "cases": cases,
@@ -138,14 +139,14 @@ def _validation(validations: Sequence[Validation], main: str, colors: figures.Co
 def _heat(results: Results, main: str) -> list[Content]:
     items = []
     for validation in results.validations:
-        if validation.policy == main:
+        if validation.label == main:
             for item in validation.worst[:6]:
                 if "heat" in item:
                     path = validation.folder / item["heat"]
                     items.append((path, f"attempt {item['attempt_id']}"))
-    for evaluation in results.evaluations:
-        if evaluation.policy == main:
-            worst = sorted(evaluation.episodes, key=lambda e: e.distance_cm, reverse=True)[:6]
+    for evaluation in results.landed:
+        if evaluation.label == main:
+            worst = sorted(evaluation.episodes, key=distance_cm, reverse=True)[:6]
             items += [(evaluation.picture(e.episode, "heat"), f"episode {e.episode}") for e in worst]
     return [{"uri": data_uri(path), "caption": caption} for path, caption in items if path.exists()]
 
@@ -168,19 +169,18 @@ def _learning(trainings: Sequence[Training]) -> Content | None:
             groups.setdefault(unit, {})[name] = series
         for unit, title in _CURVES.items():
             if unit in groups:
-                charts.append(figure(f"{training.policy}: {title}", figures.curves(groups[unit]), ""))
+                charts.append(figure(f"{training.label}: {title}", figures.curves(groups[unit]), ""))
     if not charts:
         return None
-    times = [f"{t.policy} in {duration(t.metrics['train_s'])}" for t in trainings if "train_s" in t.metrics]
+    times = [f"{t.label} in {duration(t.metrics['train_s'])}" for t in trainings if "train_s" in t.metrics]
     about = f"Trained {', '.join(times)}." if times else "Curves by step."
     return {"about": f"{about} {_CURVES_ARE}", "figures": charts}
 
 
 def _origins(results: Results) -> list[Content]:
     origins = []
-    loop = "Closed loop"
-    kinds = {Training: "Training", Validation: "Validation", Evaluation: loop, BlockEvaluation: loop}
+    kinds = {Training: "Training", Validation: "Validation", Evaluation: "Closed loop"}
     for item in results.items():
         if origin := item.metrics.get("provenance"):
-            origins.append({"name": f"{kinds[type(item)]}, {item.policy}", "lines": origin_lines(origin)})
+            origins.append({"name": f"{kinds[type(item)]}, {item.label}", "lines": origin_lines(origin)})
     return [*origins, {"name": "This page", "lines": origin_lines(provenance())}]

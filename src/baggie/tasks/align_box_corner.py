@@ -6,8 +6,9 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
+from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Task
 
 LENGTH_M, WIDTH_M, HEIGHT_M = (0.08, 0.12), (0.045, 0.07), (0.02, 0.05)  # of the box, from and to
 ARM_M, THICK_M, HIGH_M = 0.06, 0.006, 0.003  # of the two bars that mark the corner
@@ -40,7 +41,7 @@ def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     slots = tuple(
         Slot(pose, height / 2, "corner") for pose in (PlanarPose(a, b), PlanarPose(b, a, np.pi / 2))
     )
-    return Scene((box, _CORNER), poses, (Stage(("box",), slots, weight=1.0, symmetry=2),))
+    return Scene((box, _CORNER), poses, (InSlots(("box",), slots, weight=1.0, symmetry=2),))
 
 
 ALIGN_BOX_CORNER = Task(

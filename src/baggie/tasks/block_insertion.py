@@ -6,8 +6,9 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
+from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Task
 
 LEG_M, WIDE_M, HIGH_M = (
     0.10,
@@ -61,12 +62,12 @@ _ELL = Block(
 _FIXTURE = Fixture("outline", _outline())
 _OUTER_M = LEG_M + 2 * (PLAY_M + WALL_M)
 _RADII_M = {"ell": radius_m((LEG_M, LEG_M)), "outline": radius_m((_OUTER_M, _OUTER_M))}
-_STAGE = Stage(("ell",), (Slot(PlanarPose(0.0, 0.0), HIGH_M / 2, "outline"),), weight=1.0, symmetry=1)
+_CONDITION = InSlots(("ell",), (Slot(PlanarPose(0.0, 0.0), HIGH_M / 2, "outline"),), weight=1.0, symmetry=1)
 
 
 def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     poses = {name: pose @ _MIDDLE.inverse() for name, pose in scatter(_RADII_M, rng).items()}
-    return Scene((_ELL, _FIXTURE), poses, (_STAGE,))
+    return Scene((_ELL, _FIXTURE), poses, (_CONDITION,))
 
 
 BLOCK_INSERTION = Task(

@@ -6,8 +6,9 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, stand
+from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Task
 
 SIDE_M, SPACING_M, PLATE_M = 0.04, 0.05, 0.005
 ROWS = (("purple", "blue", "green"), ("yellow", "orange"), ("red",))
@@ -27,14 +28,14 @@ def _row(level: int, width: int) -> tuple[Slot, ...]:
     return tuple(Slot(PlanarPose(0.0, float(y)), height, _STAND.name) for y in along)
 
 
-_STAGES = tuple(
-    Stage(row, _row(level, len(row)), weight)
+_CONDITIONS = tuple(
+    InSlots(row, _row(level, len(row)), weight)
     for level, (row, weight) in enumerate(zip(ROWS, WEIGHTS, strict=True))
 )
 
 
 def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
-    return Scene((*_BLOCKS, _STAND), scatter(_RADII_M, rng), _STAGES)
+    return Scene((*_BLOCKS, _STAND), scatter(_RADII_M, rng), _CONDITIONS)
 
 
 BLOCK_PYRAMID = Task(

@@ -8,8 +8,9 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Color, Fixture, Part
+from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.task import Scene, Setting, Task
 
 SIDE_M, MOST = 0.04, 3
 BOWL_M, WALL_M, BOTTOM_M, RIM_M = 0.09, 0.005, 0.005, 0.02  # side, walls, bottom, height of the rim
@@ -46,8 +47,10 @@ def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
         Slot(PlanarPose(0.0, 0.0), BOTTOM_M + SIDE_M / 2, name)
         for name in left_to_right([each.name for each in green], poses)
     )
-    stage = Stage(tuple(left_to_right([block.name for block in red], poses)), slots, weight=1.0, symmetry=0)
-    return Scene((*blocks, *fixtures), poses, (stage,))
+    condition = InSlots(
+        tuple(left_to_right([block.name for block in red], poses)), slots, weight=1.0, symmetry=0
+    )
+    return Scene((*blocks, *fixtures), poses, (condition,))
 
 
 def _other(rng: np.random.Generator) -> Color:

@@ -3,52 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.choices import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.blocks import Block, Fixture
 from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.things import Thing
 from baggie.sim.variety import Variety
-
-Tool = Literal["hand", "cup"]
-"""What an arm carries."""
-
-
-@dataclass(frozen=True)
-class Slot:
-    """Where the middle of a block may end: a pose and a height (metres) in the frame of a fixture, or of the base."""
-
-    pose: PlanarPose
-    height_m: float
-    frame: str | None = None
-    """The fixture's name; None for the robot's base."""
-
-    def T_base_slot(self, poses: Mapping[str, FloatArray]) -> FloatArray:
-        """`(4, 4)`, given `T_base_body` of the fixtures by name."""
-        T_frame_slot = self.pose.upright(self.height_m)
-        return T_frame_slot if self.frame is None else np.asarray(poses[self.frame] @ T_frame_slot)
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Blocks that may each fill any of these slots, before the next stage counts.
-
-    What a picture cannot tell apart is listed from the robot's left to its right: the demonstrator goes by this order.
-    """
-
-    blocks: tuple[str, ...]
-    slots: tuple[Slot, ...]
-    """At least as many as there are blocks."""
-    weight: float
-    """Its share of the reward; those of all stages add up to 1."""
-    symmetry: int = 4
-    """How many times a turn the blocks look the same: 4 for square ones, 2 for oblong ones; 0 where any yaw counts."""
+from baggie.tasks.conditions import AtGoal, Condition, Tool
 
 
 @dataclass(frozen=True)
@@ -75,10 +42,24 @@ class Scene:
     """Those that play a part, as they are in this scene."""
     poses: Mapping[str, PlanarPose]
     """Where each of them is at first, by name; robot base frame."""
-    stages: tuple[Stage, ...] = ()
-    """In the order in which they count; none where what counts is the goal that a policy is given."""
+    conditions: tuple[Condition, ...] = ()
+    """What counts, in this order; none where that is the goal that a policy is given."""
     variety: Variety | None = None
     """Table, light and distractors; None for the cell's own."""
+
+    @property
+    def carried(self) -> Thing:
+        """What goes to the goal, where a policy is given one: the first thing that can be moved."""
+        return next(thing for thing in self.things if thing.movable)
+
+    @property
+    def staying(self) -> tuple[str, ...]:
+        """The names of all else that can be moved, and stays where it is where a policy is given a goal."""
+        return tuple(t.name for t in self.things if t.movable and t.name != self.carried.name)
+
+    def with_goal(self, goal: PlanarPose, symmetry: int) -> Scene:
+        """The scene in which the thing carried, which looks the same `symmetry` times a turn, has to lie at a goal."""
+        return replace(self, conditions=(AtGoal(self.carried.name, goal, symmetry),))
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -111,7 +92,7 @@ class Task:
     object_symmetry: int
     """How many times a turn what is carried looks the same: place yaws that far apart come to the same."""
     has_goal: bool = False
-    """Whether a policy is given a goal in the picture; else the stages say where things go."""
+    """Whether a policy is given a goal in the picture; else the conditions say where things go."""
     depth: bool = False
     """Whether the camera's depth is recorded with its pictures."""
 

@@ -23,9 +23,9 @@ from baggie.sim.sensor import Exposure
 from baggie.sim.things import Thing
 from baggie.sim.variety import lay_bags
 from baggie.sim.world import World
+from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import next_action, varied_action
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import RavensScore, strict_success
 from baggie.tasks.task import Scene, Setting, Task
 from baggie.types import Image, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
@@ -41,12 +41,13 @@ _STRAY_M = 0.01  # the arm is not quite where it was sent, at the workspace's ed
 class SimulatedWorkcell(Workcell):
     """A workcell in MuJoCo with a task.
 
-    `world`, `scene`, `score`, `demonstrate`, `strict_success`, `truth`, `second_truth`, `obstacles` and `goal_corners`
-    are for demonstrations and evaluation only. In a scenery other than `plain` every reset builds another world, which
+    `world`, `scene`, `state`, `truth`, `outline` and `demonstrate` are for demonstrations and evaluation only.
+    In a scenery other than `plain` every reset builds another world, which
     takes a second or two; a film ends with it.
     """
 
     repeatable = True
+    scene: Scene
 
     def __init__(
         self,
@@ -86,7 +87,7 @@ class SimulatedWorkcell(Workcell):
         self._begin()
 
     def reset(self, seed: Sequence[int]) -> None:
-        """A new scene of the task, the one these integers name; arm parked, nothing scored yet.
+        """A new scene of the task, the one these integers name; arm parked.
 
         Where the scenery varies, `settings` describe the bag at hand from now on.
         """
@@ -102,7 +103,6 @@ class SimulatedWorkcell(Workcell):
     def _begin(self) -> None:
         """Lay out the scene at hand in the world at hand, all else cleared away."""
         self._view.reseed(self._rng)
-        self.score = RavensScore(self.scene.stages)
         self.world.reshape([*self.scene.blocks, *self.scene.fixtures])
         self.show_paddle(False)
         self.lay_card(None)
@@ -140,6 +140,10 @@ class SimulatedWorkcell(Workcell):
         """Seconds of simulated time since the last reset."""
         return self.world.time
 
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        self.world.advance(seconds)
+
     @contextmanager
     def film(self, size: tuple[int, int] = (640, 480), fps: float = 20.0) -> Iterator[list[Image]]:
         """Collect frames `(H, W, 3)` of the arm at work, seen from beside the table, while the block runs."""
@@ -153,38 +157,30 @@ class SimulatedWorkcell(Workcell):
 
     # -- the truth ----------------------------------------------------------------------------------------------
 
+    def state(self) -> State:
+        """Where everything is now, and where things stand that a hand or a bag can run into."""
+        world = self.world
+        return State(
+            world.poses(),
+            {name: world.planar_pose(name) for name in world.bodies},
+            tuple(thing.pose for thing in world.distractors if thing.standing),
+        )
+
+    def truth(self) -> PlanarPose:
+        """Where the object that is carried is now: its true centre and yaw."""
+        return self.world.planar_pose(self.scene.carried.name)
+
     def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
         """What a demonstrator who knows where everything is does next; None when all is done, strictly.
 
         With a stream in the style of others, whose whims are drawn from it (`baggie.tasks.demonstrator`).
         """
         if rng is None:
-            return next_action(self.scene.stages, self.world.poses(), self.task.tool)
-        return varied_action(self.scene, self.world.poses(), rng)
+            return next_action(self.scene.conditions, self.state(), self.task.tool)
+        return varied_action(self.scene, self.state(), rng)
 
-    def count(self) -> float:
-        """What Ravens rewards since the last call; call it after every pick and place. The sum is `score.total`."""
-        return self.score.count(self.world.poses())
-
-    def strict_success(self) -> bool:
-        """Whether every block is in a slot of its own, upright, and stays there: two seconds pass if it looks so."""
-        return strict_success(self.scene.stages, self.world)
-
-    def truth(self) -> PlanarPose:
-        """The bag's true centre and yaw now."""
-        return self.world.planar_pose(self.scene.things[0].name)
-
-    def second_truth(self) -> PlanarPose | None:
-        """The same of the second bag, which is to stay, where there is one."""
-        others = [thing for thing in self.scene.things[1:] if thing.movable]
-        return self.world.planar_pose(others[0].name) if others else None
-
-    def obstacles(self) -> list[PlanarPose]:
-        """Where things stand that a hand or a bag can run into."""
-        return [thing.pose for thing in self.world.distractors if thing.standing]
-
-    def goal_corners(self, pose: PlanarPose) -> FloatArray:
-        """`(4, 2)` pixels: where the outline of a bag that rests at `pose` truly appears."""
+    def outline(self, pose: PlanarPose) -> FloatArray:
+        """`(4, 2)` pixels: where the outline of an object that rests at `pose` truly appears."""
         length, width, height = self.settings.object_size_m
         corners = pose.outline(length, width)
         return self.world.cell.project(np.c_[corners, np.full(4, height / 2)])
@@ -244,12 +240,12 @@ class SimulatedWorkcell(Workcell):
 
     def lay_aside(self, pose: PlanarPose) -> None:
         """Put the bag somewhere else, as a person would; its dents stay."""
-        self.world.put(self.scene.things[0].name, pose)
+        self.world.put(self.scene.carried.name, pose)
 
     def rescue(self) -> bool:
         """What a person would do: lay the lost bag back on the table, its dents with it."""
-        second = self.second_truth()
-        in_the_way = [*self.obstacles(), *([second] if second else [])]
+        state = self.state()
+        in_the_way = [*state.obstacles, *(state.places[name] for name in self.scene.staying)]
         pose, _ = lay_bags(self.settings.workspace, in_the_way, two=False, rng=self._rng)
         self.lay_aside(pose)
         self.world.advance(1.0)

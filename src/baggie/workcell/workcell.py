@@ -1,19 +1,21 @@
 """A workcell: one arm, one camera, one table. The code above never knows whether it is simulated.
 
-What is known about a workcell's camera: the calibrations its file points to, each checked to be of this camera.
-
-Notices that the camera or the table was bumped, before anything wrong is recorded or done.
-
-Two eyes: the still background, against the picture that was taken when the workcell was calibrated; and, where there
-is too little to see of it, how far from where they were let go objects are seen to lie, which drifts when the map
-from the picture to the robot is no longer true.
+A watch notices that the camera or the table was bumped, before anything wrong is recorded or done. It compares the
+still background with the picture that was taken when the workcell was calibrated; and, where there is too little to see
+of it, how far from where they were let go objects are seen to lie, which drifts when the map from the picture to the
+robot is no longer true.
 """
 
 from __future__ import annotations
 
 import math
+import time
+import warnings
 from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,13 +23,17 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.world.robot_to_world import CameraToRobot
 from baggie.cameras.camera import Camera
-from baggie.errors import BaggieError, BumpedError, LimitError, ReachError, UnsureError
-from baggie.geometry import PlanarPose, Rectangle
+from baggie.errors import BaggieError, BaggieWarning, BumpedError, LimitError, ReachError, UnsureError
+from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.robot.arm import Arm
 from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
 from baggie.robot.primitives import Handling, least_turn, pick, place
 from baggie.types import Failure, Image, Observation, Outcome, PickPlace, Plan
 from baggie.vision.drift import Landmarks
+
+if TYPE_CHECKING:
+    from baggie.tasks.conditions import State
+    from baggie.tasks.task import Scene
 
 
 @dataclass(frozen=True)
@@ -147,8 +153,40 @@ class WorkcellSettings:
     """`carry_out` asks for help when a plan's pick or place is not known within this, nine times of ten."""
 
 
+NEAR_M = 0.005
+"""From a plane so near what is seen at half a metre from under a camera 1 m up is 2 mm off, and that will do."""
+
+
+def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings) -> ImageToRobot:
+    """The map at half the object's height, where the middle of what is seen of it is.
+
+    As it is where it knows one height only, with a `BaggieWarning` where that is another.
+    """
+    middle_m = settings.object_size_m[2] / 2
+    if image_to_robot.height_aware:
+        return image_to_robot.at_height(middle_m)
+    if abs(image_to_robot.height_m - middle_m) > NEAR_M:
+        warnings.warn(
+            f"the map from the picture to the robot is right {image_to_robot.height_m:g} m above the table only, the "
+            f"middle of the object is {middle_m:g} m up: places are off by some millimetres; calibrate at two heights, "
+            "or with --intrinsics",
+            BaggieWarning,
+            stacklevel=2,
+        )
+    return image_to_robot
+
+
 class Workcell:
-    """Look, move, check. Planning is a policy's."""
+    """Look, move, check: what collecting, evaluating and the environments ask of every workcell.
+
+    Planning is a policy's. As it is here nobody lays the table anew, nobody knows where things are, and a person does
+    what only a person can.
+    """
+
+    repeatable = False
+    """Whether `reset` gives the same scene again, and with it the same attempts."""
+    scene: Scene | None = None
+    """What lies on the table at first and what counts; None where nobody knows."""
 
     def __init__(self, arm: Arm, camera: Camera, settings: WorkcellSettings) -> None:
         self.arm = GuardedArm(arm, settings.limits)
@@ -157,6 +195,71 @@ class Workcell:
         self.calibrations = Calibrations()
         self.watch: Watch | None = None
         """Given one, `look` raises `BumpedError` as soon as the camera or the table has moved."""
+
+    def reset(self, _seed: Sequence[int]) -> None:
+        """Begin a new scene, drawn from the stream these integers name, where the workcell is repeatable.
+
+        Where it is not, what the hand still holds is put down, the arm parks, and the rest stays as it is.
+        """
+        self.put_down()
+        self.arm.park()
+
+    def state(self) -> State | None:
+        """Where everything is now; None where nobody knows. Moves nothing and looks at nothing."""
+        return None
+
+    def give_goal(self, goal: PlanarPose) -> None:
+        """Let what counts in the scene, where it is known, be that the object comes to lie at a goal."""
+        if self.scene is not None:
+            self.scene = self.scene.with_goal(goal, self.settings.object_symmetry)
+
+    def outline(self, pose: PlanarPose) -> FloatArray:
+        """`(4, 2)` pixels: where the outline of the object is to be expected when it rests at `pose`.
+
+        Raises `BaggieError` where there is no map from the picture to the robot.
+        """
+        to_robot = self.calibrations.image_to_robot
+        if to_robot is None:
+            raise BaggieError(
+                f"expected {self.settings.name} with a map from the picture to the robot, got none; make one with: "
+                "baggie calibrate image-to-robot"
+            )
+        length, width, _ = self.settings.object_size_m
+        to_robot = at_outline(to_robot, self.settings).for_size(self.camera.size)
+        return to_robot.to_pixels(pose.outline(length, width))
+
+    def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
+        """What a demonstrator, who knows where everything is, does next; None when all is done, strictly.
+
+        With a stream in the style of others, whose whims are drawn from it. Raises `BaggieError` where nobody knows.
+        """
+        raise BaggieError(
+            f"expected a workcell where somebody knows where things are, got {self.settings.name}"
+        )
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
+
+    def show_paddle(self, shown: bool) -> None:
+        """Put the calibration marker into the hand, or take it away. Raises `BaggieError` where only a person can."""
+        if shown:
+            raise BaggieError(
+                f"expected {self.settings.name} to be calibrated, got no image_to_robot below `calibrations` in its "
+                "file; make one with: baggie calibrate image-to-robot --workcell FILE"
+            )
+
+    def lay_card(self, pose: PlanarPose | None) -> None:
+        """Lay the goal card on the table, or take it away. Raises `BaggieError` where only a person can."""
+        if pose is not None:
+            raise BaggieError(
+                "expected a goal that can be marked in the picture, got a card for a real workcell"
+            )
+
+    @contextmanager
+    def film(self, size: tuple[int, int] = (640, 480), fps: float = 20.0) -> Iterator[list[Image]]:
+        """Collect frames `(H, W, 3)` of the arm at work while open; none where nobody films it."""
+        yield []
 
     def use(self, calibrations: Calibrations) -> None:
         """Take calibrations of this camera into use; its pictures say how its lens sees from now on."""
@@ -264,7 +367,7 @@ class Workcell:
 
     def rescue(self) -> bool:
         """Get a lost object back into the workspace, if this workcell knows how; whether it did."""
-        return False
+        return self.put_down()
 
     def clock(self) -> float:
         """Seconds of the workcell's own clock."""

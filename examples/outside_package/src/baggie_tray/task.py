@@ -7,7 +7,8 @@ import numpy as np
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
 from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
-from baggie.tasks.task import Scene, Setting, Slot, Stage, Task
+from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.task import Scene, Setting, Task
 
 SIDE_M, TRAY_M, HIGH_M = 0.04, (0.08, 0.14), 0.004
 APART_M = 0.03
@@ -22,7 +23,7 @@ RADII_M = {block.name: radius_m(block.size_m) for block in BLOCKS} | {"tray": ra
 def _draw(rng: np.random.Generator, _setting: Setting) -> Scene:
     poses = scatter(RADII_M, rng)
     first = left_to_right([block.name for block in BLOCKS], poses)
-    return Scene((*BLOCKS, TRAY), poses, (Stage(tuple(first), SLOTS, weight=1.0),))
+    return Scene((*BLOCKS, TRAY), poses, (InSlots(tuple(first), SLOTS, weight=1.0),))
 
 
 TWO_ON_A_TRAY = Task(

@@ -1,0 +1,84 @@
+"""What whoever shows how a task is done has in common: the robot that teaches itself, and the script."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from baggie.data import DatasetWriter
+from baggie.options.choices import CollectedStyle
+from baggie.processes import OpenWorker
+from baggie.types import Attempt
+
+Size = tuple[int, int]
+Work = TypeVar("Work")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What all attempts of one collection have in common."""
+
+    instruction: str
+    """The task in words."""
+    seed: int
+    cell: int
+    size: Size
+    """`(width, height)` of the recorded pictures, pixels."""
+    style: CollectedStyle = "plain"
+    """Of whoever demonstrates."""
+    depth: bool = False
+    """Whether pictures are recorded with the depth that their camera may measure."""
+
+
+class Demonstrator(Protocol, Generic[Work]):
+    """Makes a recording's episodes, in pieces of work that depend on the seed, the cell and their number alone."""
+
+    @property
+    def robot(self) -> str:
+        """What moves."""
+        ...
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the cell is simulated."""
+        ...
+
+    @property
+    def collection(self) -> Mapping[str, Any]:
+        """What a recording says of how it was made."""
+        ...
+
+    @property
+    def doing(self) -> str:
+        """What it does, in words, beside the progress."""
+        ...
+
+    @property
+    def counted(self) -> str:
+        """What `--attempts` counts, in words."""
+        ...
+
+    def picture_size(self) -> Size:
+        """`(width, height)` at which pictures are recorded unless the recording has a size already."""
+        ...
+
+    def begun(self, writer: DatasetWriter) -> int:
+        """How many of what `--attempts` counts are recorded, whole or not."""
+        ...
+
+    def missing(self, writer: DatasetWriter) -> list[Work]:
+        """The work that is still to be done; first what may have been cut short."""
+        ...
+
+    def open_worker(self, recording: Recording) -> OpenWorker[Work, list[Attempt]]:
+        """What a worker process begins with: it then does piece after piece, and hands over whole episodes."""
+        ...
+
+    def summary(self, rate: float | None) -> dict[str, Any]:
+        """What the recording came to, ready for JSON; `rate`: how many a minute of what `--attempts` counts, if any."""
+        ...
+
+
+Show = Callable[[Work], Iterable[list[Attempt]]]
+"""Makes the episodes of a piece of work."""
