@@ -29,6 +29,7 @@ from baggie.cameras import camera as height_map_camera
 from baggie.registry import TASKS
 from baggie.robot.kinematics import Kinematics
 from baggie.sim.renderer import DepthRenderer
+from baggie.tasks.scoring import Score, strict_success
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 from stopwatch import timed
@@ -69,18 +70,18 @@ def demonstrate(cell: SimulatedWorkcell, seed: int, pictures: bool) -> tuple[flo
     """One demonstration: seconds, steps, success by Ravens' score and strictly."""
     start = time.process_time()
     cell.reset([SEED, seed])
-    steps = 0
+    score, steps = Score(cell.scene.conditions), 0
     while steps < cell.task.max_steps and (action := cell.demonstrate()) is not None:
         if pictures:
             cell.look()
         cell.execute(action)
-        cell.count()
+        score.count(cell.state())
         steps += 1
     if pictures:
         cell.look()
     seconds = time.process_time() - start
     with patch.object(mujoco, "mj_step", mujoco.mj_step.__wrapped__):
-        return seconds, steps, cell.score.done, cell.strict_success()
+        return seconds, steps, score.done, strict_success(cell.scene.conditions, cell)
 
 
 def summed(shown: list[tuple[float, int, bool, bool]], spent: dict[str, float]) -> dict[str, Any]:

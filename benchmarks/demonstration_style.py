@@ -19,6 +19,7 @@ from baggie.errors import LimitError, ReachError
 from baggie.options.choices import CollectedStyle
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
+from baggie.tasks.scoring import Score, strict_success
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 
@@ -64,7 +65,7 @@ def main() -> None:
 def demonstrate(cell: SimulatedWorkcell, number: int, style: str) -> Shown:
     """Demonstration `number` of a recording in this style."""
     cell.reset((COLLECTION, SEED, number))
-    shown = Shown()
+    shown, score = Shown(), Score(cell.scene.conditions)
     for step in range(cell.task.max_steps):
         action = cell.demonstrate(generator(STYLE, SEED, number, step) if style == "varied" else None)
         if action is None:
@@ -76,7 +77,7 @@ def demonstrate(cell: SimulatedWorkcell, number: int, style: str) -> Shown:
             outcome = cell.execute(action)
         except (LimitError, ReachError):
             break
-        shown.earned += cell.count() > 0.0
+        shown.earned += score.count(cell.state()) > 0.0
         shown.missed += not outcome.success
         moved = [
             name for name in cell.world.movable if np.abs(cell.world.pose(name) - before[name]).max() > 0.02
@@ -84,7 +85,7 @@ def demonstrate(cell: SimulatedWorkcell, number: int, style: str) -> Shown:
         if outcome.success and moved:
             off = {float(np.hypot(*(before[name][:2, 3] - action.pick.xy))) for name in moved}
             shown.off_mm.append(1000 * min(off))
-    shown.strict = cell.strict_success()
+    shown.strict = strict_success(cell.scene.conditions, cell)
     return shown
 
 

@@ -29,9 +29,7 @@ from baggie.cameras.camera import check_camera
 from baggie.commissioning.doctor import examine
 from baggie.data import open_dataset
 from baggie.errors import BaggieError
-from baggie.evaluation.bag_place import BAGS
-from baggie.evaluation.episode import Episode
-from baggie.evaluation.log import read_log
+from baggie.evaluation.log import read_episodes
 from baggie.options.choices import HAND_MARKER
 from baggie.options.workcells import DoctorOptions
 from baggie.pictures import read_picture, write_picture
@@ -267,9 +265,9 @@ class Way:
         words = f"--episodes {self.options.episodes} --seed {self.options.seed} --out {out}"
         found = answer(f"evaluate --policy {policy} --workcell {self.file} {words}")
         truth = self.link.ask("truth")
-        episodes = read_log(out / BAGS.log, Episode)
-        ended = rests(truth["pictures"], [episode.final for episode in episodes])
-        away = [100 * off_m(end, episode.goal) for end, episode in zip(ended, episodes, strict=True)]
+        landings = [each.landing for each in read_episodes(out).values() if each.landing is not None]
+        ended = rests(truth["pictures"], [landing.final for landing in landings])
+        away = [100 * off_m(end, landing.goal) for end, landing in zip(ended, landings, strict=True)]
         within = sum(distance <= found["radius_cm"] for distance in away)
         return {
             "row": {

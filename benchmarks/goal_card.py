@@ -79,8 +79,8 @@ def measure(cell: SimulatedWorkcell, to_robot: ImageToRobot, stream: tuple[int, 
         return None
     corners = np.c_[SQUARE, np.ones(4)] @ pose.matrix().T
     true = cell.world.cell.project(np.c_[corners[:, :2], np.full(4, CARD_TOP_M)])
-    bag = cell.goal_corners(pose).mean(axis=0)
-    step = cell.goal_corners(pose @ PlanarPose(0.01, 0.0)).mean(axis=0) - bag
+    bag = cell.outline(pose).mean(axis=0)
+    step = cell.outline(pose @ PlanarPose(0.01, 0.0)).mean(axis=0) - bag
     mm = 10 / np.linalg.norm(step)
     raised = raise_card(card.corners, to_robot, cell.settings.object_size_m[2] / 2)
     return [

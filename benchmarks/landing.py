@@ -17,11 +17,9 @@ from typing import Any
 import numpy as np
 import tyro
 
-from baggie.evaluation.bag_place import BAGS, open_any_bench
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
-from baggie.evaluation.episode import Episode
-from baggie.evaluation.log import append_line, read_lines, read_log
-from baggie.evaluation.setup import Bench
+from baggie.evaluation.log import LOG, Episode, append_line, read_episodes, read_lines
+from baggie.evaluation.setup import Setup, open_setup
 from baggie.geometry import PlanarPose
 from baggie.lab.web import LabControl
 from baggie.results import provenance, write_results
@@ -62,7 +60,7 @@ def main(options: Options) -> None:
         film=0,
     )
     rows = [
-        {"where": "simulator, another bag every time", **simulated(asked, "anew", open_any_bench)},
+        {"where": "simulator, another bag every time", **simulated(asked, "anew", open_setup)},
         {"where": "simulator, one bag throughout", **simulated(asked, "worn", open_worn)},
         *in_lab(options, asked),
     ]
@@ -80,12 +78,12 @@ def main(options: Options) -> None:
 
 
 def simulated(
-    asked: EvaluateOptions, name: str, open_bench: Callable[[EvaluateOptions], Bench]
+    asked: EvaluateOptions, name: str, open_own: Callable[[EvaluateOptions], Setup]
 ) -> dict[str, Any]:
     """The simulated cell, whose truth is what episodes are measured by."""
     asked = replace(asked, out=asked.out / name)
-    evaluate(asked, open_bench)
-    return row(read_log(asked.out / BAGS.log, Episode), PlanarPose)
+    evaluate(asked, open_own)
+    return row(list(read_episodes(asked.out).values()), PlanarPose)
 
 
 def in_lab(options: Options, asked: EvaluateOptions) -> Iterator[dict[str, Any]]:
@@ -113,34 +111,34 @@ def in_lab(options: Options, asked: EvaluateOptions) -> Iterator[dict[str, Any]]
             ),
         ):
             asked = replace(asked, cell=EvaluateOptions.cell, workcell=workcell, out=options.out / name)
-            if not (asked.out / BAGS.log).exists():
+            if not (asked.out / LOG).exists():
                 control.reset(options.seed)
             evaluate(asked, partial(open_watched, control.address, undented))
             truths = {
                 tuple(kept["seen"]): PlanarPose(*kept["true"]) for kept in read_lines(asked.out / TRUTHS)
             }
-            episodes = read_log(asked.out / BAGS.log, Episode)
+            episodes = list(read_episodes(asked.out).values())
             yield {"where": f"lab, {how}", **row(episodes, lambda *pose, known=truths: known[pose])}
 
 
-def open_worn(options: EvaluateOptions) -> Bench:
+def open_worn(options: EvaluateOptions) -> Setup:
     """The simulated cell, whose bag is laid there once and stays what it has become."""
-    bench = open_any_bench(options)
-    reset, laid = bench.cell.reset, []
+    setup = open_setup(options)
+    reset, laid = setup.cell.reset, []
 
     def reset_once(seed: Sequence[int]) -> None:
         if not laid:
             reset(seed)
         laid.append(seed)
 
-    bench.cell.reset = reset_once  # type: ignore[method-assign]
-    return bench
+    setup.cell.reset = reset_once  # type: ignore[method-assign]
+    return setup
 
 
-def open_watched(lab_address: str, undented: bool, options: EvaluateOptions) -> Bench:
+def open_watched(lab_address: str, undented: bool, options: EvaluateOptions) -> Setup:
     """The workcell in the lab; what is seen is kept beside the truth. `undented`: the bag is another every time."""
-    bench, control = open_any_bench(options), LabControl(lab_address)
-    find, reset = bench.find, bench.cell.reset
+    setup, control = open_setup(options), LabControl(lab_address)
+    find, reset = setup.find, setup.cell.reset
     assert find is not None
 
     def reset_and_exchange(seed: Sequence[int]) -> None:
@@ -154,23 +152,24 @@ def open_watched(lab_address: str, undented: bool, options: EvaluateOptions) -> 
         append_line(options.out / TRUTHS, kept)
         return pose
 
-    bench.cell.reset = reset_and_exchange  # type: ignore[method-assign]
-    return replace(bench, find=find_beside_truth)
+    setup.cell.reset = reset_and_exchange  # type: ignore[method-assign]
+    return replace(setup, find=find_beside_truth)
 
 
 def row(episodes: Sequence[Episode], true: Callable[..., PlanarPose]) -> dict[str, str]:
     """Medians of what happened on the way to the goal; `true` says where the bag was when it was seen at a pose."""
     found: dict[str, list[float]] = {}
     for episode in episodes:
-        if episode.planned is None or episode.executed is None:
+        landing, last = episode.landing, episode.steps[-1] if episode.steps else None
+        if landing is None or last is None or last.planned is None or last.executed is None:
             continue
         ways = {
-            "bag to goal": (true(*episode.final), episode.goal),
-            "seen": (episode.final, episode.goal),
-            "pick off": (episode.planned[:3], true(*episode.start)),
-            "place off": (episode.planned[3:], episode.goal),
-            "let go off": (episode.executed[3:], episode.planned[3:]),
-            "bag off where it was let go": (true(*episode.final), episode.executed[3:]),
+            "bag to goal": (true(*landing.final), landing.goal),
+            "seen": (landing.final, landing.goal),
+            "pick off": (last.planned[:3], true(*landing.start)),
+            "place off": (last.planned[3:], landing.goal),
+            "let go off": (last.executed[3:], last.planned[3:]),
+            "bag off where it was let go": (true(*landing.final), last.executed[3:]),
         }
         for name, (a, b) in ways.items():
             found.setdefault(name, []).append(100 * float(np.hypot(*(xy(a) - xy(b)))))

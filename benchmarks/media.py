@@ -41,7 +41,7 @@ def main(options: Options) -> None:
     stream = (seeds.EVALUATION, options.episode)
     cell.reset(stream)
     goal = Goal(
-        cell.goal_corners(random_place(cell.settings.workspace, cell.truth(), seeds.generator(*stream, 1)))
+        cell.outline(random_place(cell.settings.workspace, cell.truth(), seeds.generator(*stream, 1)))
     )
     observation = cell.look()
     plan = policy.plan(observation, goal)

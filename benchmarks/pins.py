@@ -28,6 +28,8 @@ import tyro
 import yaml
 from safetensors.numpy import load_file
 
+from baggie.evaluation.log import Episode
+
 HERE = Path(__file__).resolve().parents[1]
 SCENES = """
 import sys, warnings
@@ -121,7 +123,8 @@ def of_all_commands(code: Path, made: Path) -> dict[str, str]:
             done.touch()
         paths = sorted((made / name).rglob("*")) if (made / name).is_dir() else [made / name]
         for path in paths:
-            found |= {f"{path.relative_to(made)}: {key}": digest(value) for key, value in arrays_in(path)}
+            shown = str(path.relative_to(made)).replace("block-episodes", "episodes")  # an earlier name
+            found |= {f"{shown}: {key}": digest(value) for key, value in arrays_in(path)}
     return found
 
 
@@ -137,7 +140,8 @@ def arrays_in(path: Path) -> Iterator[tuple[str, Any]]:
         case ".json":
             yield from flat("", json.loads(path.read_text()))
         case ".jsonl":
-            yield from flat("", [json.loads(line) for line in path.read_text().splitlines()])
+            lines = [json.loads(line) for line in path.read_text().splitlines()]
+            yield from flat("", [Episode.from_json(line).to_json() for line in lines])
         case ".yaml":
             yield from flat("", yaml.safe_load(path.read_text()))
         case ".parquet":

@@ -23,7 +23,8 @@ GOAL = PlanarPose(0.50, 0.15, yaw=0.0)
 def main() -> None:
     """One turn of the loop."""
     cell = open_simulated(cell=0)
-    policy = OraclePolicy(cell.truth, lambda: GOAL)
+    cell.give_goal(GOAL)
+    policy = OraclePolicy(cell.demonstrate)
     bag = cell.truth()
     print(f"the bag lies at ({bag.x:.3f}, {bag.y:.3f}), and is to go to ({GOAL.x:.3f}, {GOAL.y:.3f})")
 

@@ -1,6 +1,6 @@
 """A task of your own with rigid things: what lies on the table, where, and what counts.
 
-Shows that a task is plain data and a function that draws scenes. From what counts, the stages, follow the scripted
+Shows that a task is plain data and a function that draws scenes. From what counts, the conditions, follow the scripted
 demonstrator, the score as Ravens counts it, and strict success: every block upright in a slot of its own, and still so
 two seconds later. `check_task` of `baggie.collect.task_contract` says whether a task keeps its promises; as an entry
 point of a package (examples/outside_package) it is known to every command.
@@ -20,8 +20,9 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
-from baggie.tasks.layout import COLORS, radius_m, scatter
 from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.layout import COLORS, radius_m, scatter
+from baggie.tasks.scoring import Score, strict_success
 from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 
@@ -53,12 +54,12 @@ def main() -> None:
     with closing(SimulatedWorkcell(0, TASK)) as cell:
         cell.reset((1,))
         print(TASK.instruction)
-        step = 0
+        score, step = Score(cell.scene.conditions), 0
         while (action := cell.demonstrate()) is not None:
             cell.execute(action)
-            print(f"step {step}: earned {cell.count():.2f} of 1")
+            print(f"step {step}: earned {score.count(cell.state()):.2f} of 1")
             step += 1
-        print(f"done, strictly: {cell.strict_success()}")
+        print(f"done, strictly: {strict_success(cell.scene.conditions, cell)}")
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from baggie.seeds import first_fit
 from baggie.sim.bag import FULL_HEIGHT_M, Bag
 from baggie.sim.variety import random_pose
 from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.scoring import Score
 from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 
@@ -44,8 +45,8 @@ def draw(rng: np.random.Generator, setting: Setting) -> Scene:
         assert pose is not None
         poses[bag.name] = pose
         taken.append(pose)
-    stages = [InSlots((bag.name,), (slot,), weight=0.5) for bag, slot in zip(BAGS, SLOTS, strict=True)]
-    return Scene(BAGS, poses, tuple(stages))
+    conditions = [InSlots((bag.name,), (slot,), weight=0.5) for bag, slot in zip(BAGS, SLOTS, strict=True)]
+    return Scene(BAGS, poses, tuple(conditions))
 
 
 TASK = Task(
@@ -64,15 +65,16 @@ def main() -> None:
     """Play one scene to its end."""
     with closing(SimulatedWorkcell(0, TASK)) as cell:
         cell.reset((2,))
+        score = Score(cell.scene.conditions)
         for step, (bag, slot) in enumerate(zip(BAGS, SLOTS, strict=True)):
             action = cell.demonstrate()
             if action is None:
                 break
             cell.execute(action)
-            cell.count()
+            score.count(cell.state())
             off_cm = 100 * cell.world.planar_pose(bag.name).distance(slot.pose)
             print(f"step {step}: the {bag.name} lies {off_cm:.1f} cm from its slot")
-        print(f"partial credit {cell.score.total:.2f}")
+        print(f"partial credit {score.total:.2f}")
 
 
 if __name__ == "__main__":

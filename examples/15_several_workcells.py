@@ -28,7 +28,8 @@ def work(number: int) -> float:
     cell = open_simulated(number)
     try:
         cell.reset((0, number))  # the scene that these integers name
-        policy = OraclePolicy(cell.truth, lambda: GOAL)
+        cell.give_goal(GOAL)
+        policy = OraclePolicy(cell.demonstrate)
         cell.carry_out(policy.plan(cell.look()))
         return cell.truth().distance(GOAL)
     finally:

@@ -53,8 +53,8 @@ class TaskEnv(gymnasium.Env[ObservationDict, NDArray[np.float32]]):
     `(4, 2)` float32, corners of its outline in it, pixels (u, v).
     Action: `(6,)` float32: pick x, y, yaw, place x, y, yaw; metres and radians, robot base frame. One that the arm
     refuses (outside its limits or reach) moves nothing or puts back what it held; `info["refused"]` says why.
-    Reward: with a goal, minus the distance from the object to it in metres; else what Ravens gives, 1 in all. Terminated
-    when the object is within 2 cm, or all is done; truncated after the task's `max_steps`.
+    Reward: with a goal, minus the distance from the object to it in metres; else what Ravens gives, 1 in all.
+    Terminated when the object is within 2 cm, or all is done; truncated after the task's `max_steps`.
     `info`: `is_success`; with a goal `distance_m`; else `partial_credit`, the rewards' sum, and `strict_success`, the
     same as `is_success`, decided when the episode ends and False till then (everything as it has to be, and still so
     two seconds later); `outcome` where the arm moved.

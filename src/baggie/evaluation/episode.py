@@ -145,7 +145,7 @@ class ByDistance:
         self._last: Trial | None = None
 
     def look(self, seen: Observation) -> Goal | None:
-        """The goal, as it was told in the first picture. Raises `NoCardError` where there is no card to be seen in it."""
+        """The goal, as told in the first picture. Raises `NoCardError` where there is no card to be seen in it."""
         self._seen, self._object = seen, self._setup.object_in(seen)
         if self._told is None:
             try:

@@ -172,15 +172,10 @@ def _from_old(record: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**kept, "steps": steps, "landing": {name: record[name] for name in _LANDING}, "credit": None}
 
 
-def logs_in(folder: Path) -> list[Path]:
-    """The files that an evaluation's folder may have of its episodes; those that there are."""
-    return [path for path in (folder / _OLD_LOG, folder / LOG) if path.exists()]
-
-
 def read_episodes(folder: Path) -> dict[int, Episode]:
     """The episodes logged in an evaluation's folder, by number. Raises `DataError`, naming the file."""
     found: dict[int, Episode] = {}
-    for path in logs_in(folder):
+    for path in (folder / _OLD_LOG, folder / LOG):
         try:
             found |= {each.episode: each for each in map(Episode.from_json, read_lines(path))}
         except DataError as error:

@@ -19,7 +19,11 @@ from baggie.report.items import (
 
 MAX_EPISODES = 3
 """Shown step by step: those with the least done."""
-_ABOUT = "XX"
+_ABOUT = (
+    "Look, plan, move, until the task is done or its steps are used up; every scene is new. Strict success wants everything "
+    "as the task asks (a block upright and at its height in a slot of its own), still so two seconds later; Ravens' own "
+    "success knows neither heights nor what falls later."
+)
 
 
 def conditions(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
@@ -119,8 +123,8 @@ def distances(evaluations: Sequence[Evaluation], main: str, colors: figures.Colo
     ended = {e.label: e.distances_cm() for e in evaluations}
     offsets = {e.label: e.offsets_cm() for e in evaluations}
     about += [
-        f"{evaluation.label} was tried on a real arm ({evaluation.terms.workcell}), where each scene begins where the one "
-        "before it ended, and things are where the camera sees them."
+        f"{evaluation.label} was tried on a real arm ({evaluation.terms.workcell}), where each scene begins where the "
+        "one before it ended, and things are where the camera sees them."
         for evaluation in evaluations
         if evaluation.terms.workcell is not None
     ]

@@ -15,13 +15,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.log import logs_in, read_episodes
+from baggie.evaluation.log import read_episodes
 from baggie.evaluation.terms import Terms
 from baggie.files import only_ours, read_yaml, write_text
 from baggie.options.evaluating import ReportOptions
 from baggie.report.items import BASELINES, Evaluation, Results, Series, Training, Validation
 from baggie.report.sections import content
-from baggie.results import EVALUATION
 
 _EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
 """What TensorBoard's writer calls its files: time, machine, process and count."""
@@ -41,7 +40,7 @@ def gather(folders: Sequence[Path]) -> Results:
             )
     trainings = _read(folders, "config.yaml", _training)
     validations = _read(folders, "predictions.json", _validation)
-    evaluations = _read(folders, EVALUATION, _evaluation)
+    evaluations = _read(folders, "*episodes.jsonl", _evaluation)
     _check_told_apart(trainings)
     _check_told_apart(validations)
     found = Results(trainings, validations, evaluations)
@@ -66,14 +65,14 @@ def labelled(results: Results) -> Results:
         return [replace(i, label=f"{i.policy} ({i.run})" if i.policy in several else i.policy) for i in items]
 
     evaluations = sorted(named(results.evaluations), key=lambda each: each.terms.workcell is not None)
-    tests, first = Counter(each.label for each in evaluations), {}
+    tests = Counter(each.label for each in evaluations)
+    first: dict[str, str] = {}
     for number, each in enumerate(evaluations):
         task = each.terms.task if each.credits() and tests[each.label] > 1 else ""
         label = ", ".join(filter(None, [each.label, task, each.terms.harder]))
         place = first.setdefault(label, each.terms.place)
-        evaluations[number] = replace(
-            each, label=label if each.terms.place == place else f"{label}, {each.terms.place}"
-        )
+        label = label if each.terms.place == place else f"{label}, {each.terms.place}"
+        evaluations[number] = replace(each, label=label)
     return Results(named(results.trainings), named(results.validations), evaluations)
 
 
@@ -134,7 +133,7 @@ def _validation(folder: Path) -> Validation:
 
 def _evaluation(folder: Path) -> Evaluation | None:
     metrics = _finished(folder)
-    if metrics is None or not logs_in(folder):
+    if metrics is None:
         return None
     logged = read_episodes(folder)
     # More may be logged by now than the metrics are of.

@@ -6,8 +6,8 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.blocks import Block, Fixture, Part
-from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
 from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
 from baggie.tasks.task import Scene, Setting, Task
 
 SIDE_M, TRAY_M, HIGH_M = 0.04, (0.08, 0.14), 0.004
