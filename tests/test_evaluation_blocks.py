@@ -30,8 +30,8 @@ from baggie.policies import DemonstratorPolicy
 from baggie.registry import TASKS
 from baggie.report.report import report
 from baggie.types import Observation, Outcome, PickPlace, Plan
+from helpers.reports import Page
 from helpers.streaming import Here
-from test_report import Page
 
 TASK = TASKS["block-pyramid"]
 GRID = Grid(x=(0.3, 0.4), y=(-0.1, 0.1), pixel_m=0.005)

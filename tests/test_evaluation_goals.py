@@ -26,8 +26,8 @@ from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
+from helpers.bag_evaluations import FakeCell, evaluate_here, open_perfect, options, timeless
 from helpers.synthetic import WORKSPACE, intrinsics, to_pixels
-from test_evaluation_closed_loop import FakeCell, evaluate_here, open_perfect, options, timeless
 
 CARD = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.065
 KINDS = ("virtual", "turned", "card")

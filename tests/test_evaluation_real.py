@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
 from baggie.collect.machine import at_outline, detect
 from baggie.errors import BaggieError, BaggieWarning
@@ -28,8 +27,9 @@ from baggie.policies.keypoint.plan import View
 from baggie.report.report import report
 from baggie.types import Outcome
 from baggie.workcell.workcell import Calibrations, WorkcellSettings
+from helpers import bag_evaluations as simulated
+from helpers.bag_evaluations import evaluate_here
 from helpers.fake_workcell import FakeCell
-from test_evaluation_closed_loop import evaluate_here
 
 FILE = Path("cell.yaml")
 
