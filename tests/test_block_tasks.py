@@ -10,12 +10,14 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.registry import TASKS
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
+from baggie.sim.cell import draw_cell
 from baggie.tasks.demonstrator import carry, next_action
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled, filled
-from baggie.tasks.task import Slot, Stage, Task
+from baggie.tasks.task import Setting, Slot, Stage, Task
 from baggie.types import PickPlace
 from helpers.ideal_arm import carried, poses_of
+from helpers.same import expect_same
 
 MARGIN_M = 0.05
 tasks = st.sampled_from([task for task in TASKS.all().values() if task.blocks])
@@ -35,6 +37,21 @@ def test_a_scene_is_its_seeds(task: Task, seed: int) -> None:
     first, second = (task.draw(np.random.default_rng(seed)) for _ in range(2))
     assert first == second
     assert first.poses != task.draw(np.random.default_rng(seed + 1)).poses
+
+
+@pytest.mark.parametrize("task", TASKS.all().values(), ids=TASKS.names())
+def test_a_scene_is_of_cell_0_unless_another_is_given(task: Task) -> None:
+    expect_same(
+        task.draw(np.random.default_rng(3)),
+        task.draw(np.random.default_rng(3), Setting(task.things, draw_cell(0))),
+    )
+
+
+@pytest.mark.parametrize("task", [task for task in TASKS.all().values() if not task.has_goal])
+def test_no_cell_is_drawn_for_a_task_that_looks_at_none(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = task.draw(np.random.default_rng(3))
+    monkeypatch.setattr(Setting, "cell", property(lambda _: pytest.fail("looked at the cell")))
+    assert task.draw(np.random.default_rng(3)) == scene
 
 
 @given(task=tasks, seed=seeds)
