@@ -136,6 +136,13 @@ def test_no_import_goes_unseen(source: str, expected: set[str]) -> None:
     assert imported(source, {"baggie", "baggie.b"}) == expected
 
 
+def test_no_test_is_imported() -> None:
+    """What tests share is in helpers/."""
+    files = sorted(Path(__file__).parent.rglob("*.py"))
+    tests = {path.stem for path in files if path.stem.startswith("test_")}
+    assert not [f"{path} imports {test}" for path in files for test in imported(path.read_text(), tests)]
+
+
 def test_files_and_folders_are_of_a_size_to_be_read() -> None:
     files = list(modules().values())
     assert len(files) <= 226

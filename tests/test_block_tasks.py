@@ -10,13 +10,15 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.registry import TASKS
 from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
-from baggie.tasks.demonstrator import carry, next_action
+from baggie.sim.cell import draw_cell
+from baggie.tasks.conditions import InSlots, Slot, State, carry
+from baggie.tasks.demonstrator import next_action
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import Score, all_filled, filled
-from baggie.tasks.conditions import InSlots, Slot
-from baggie.tasks.task import Task
+from baggie.tasks.scoring import Score, all_hold
+from baggie.tasks.task import Setting, Task
 from baggie.types import PickPlace
 from helpers.ideal_arm import carried, poses_of
+from helpers.same import expect_same
 
 MARGIN_M = 0.05
 tasks = st.sampled_from([task for task in TASKS.all().values() if task.blocks])
@@ -36,6 +38,21 @@ def test_a_scene_is_its_seeds(task: Task, seed: int) -> None:
     first, second = (task.draw(np.random.default_rng(seed)) for _ in range(2))
     assert first == second
     assert first.poses != task.draw(np.random.default_rng(seed + 1)).poses
+
+
+@pytest.mark.parametrize("task", TASKS.all().values(), ids=TASKS.names())
+def test_a_scene_is_of_cell_0_unless_another_is_given(task: Task) -> None:
+    expect_same(
+        task.draw(np.random.default_rng(3)),
+        task.draw(np.random.default_rng(3), Setting(task.things, draw_cell(0))),
+    )
+
+
+@pytest.mark.parametrize("task", [task for task in TASKS.all().values() if not task.has_goal])
+def test_no_cell_is_drawn_for_a_task_that_looks_at_none(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = task.draw(np.random.default_rng(3))
+    monkeypatch.setattr(Setting, "cell", property(lambda _: pytest.fail("looked at the cell")))
+    assert task.draw(np.random.default_rng(3)) == scene
 
 
 @given(task=tasks, seed=seeds)
@@ -73,27 +90,27 @@ def test_a_scene_has_what_its_task_promises(task: Task, seed: int) -> None:
 def test_the_demonstrator_needs_one_step_a_block_and_turns_the_wrist_little(task: Task, seed: int) -> None:
     scene = task.draw(np.random.default_rng(seed))
     poses, score, steps, heights = poses_of(scene), Score(scene.conditions), 0, [0.0]
-    while (action := next_action(scene.conditions, poses)) is not None:
+    while (action := next_action(scene.conditions, State.of(poses))) is not None:
         assert action.pick.yaw == 0.0
         assert abs(action.place.yaw) <= np.pi / task.object_symmetry + 1e-9
         before, poses = poses, carried(action, scene, poses)
         (moved,) = [name for name in poses if poses[name] is not before[name]]
         heights.append(poses[moved][2, 3])
-        assert score.count(poses) > 0.0
+        assert score.count(State.of(poses)) > 0.0
         steps += 1
     assert steps == sum(len(stage.blocks) for stage in scene.conditions)
     assert heights == sorted(heights)  # nothing goes where nothing is yet to rest on
     assert score.done
     assert score.total == 1.0
-    assert all_filled(scene.conditions, poses)
+    assert all_hold(scene.conditions, State.of(poses))
 
 
 def test_stages_count_by_their_weights() -> None:
     scene = pyramid.draw(np.random.default_rng(0))
     poses, score, rewards = poses_of(scene), Score(scene.conditions), []
-    while (action := next_action(scene.conditions, poses)) is not None:
+    while (action := next_action(scene.conditions, State.of(poses))) is not None:
         poses = carried(action, scene, poses)
-        rewards.append(score.count(poses))
+        rewards.append(score.count(State.of(poses)))
     np.testing.assert_allclose(rewards, [1 / 6] * 5 + [1 / 6])
     np.testing.assert_allclose([stage.weight for stage in scene.conditions], [1 / 2, 1 / 3, 1 / 6])
 
@@ -105,7 +122,7 @@ SLOT = PlanarPose(0.4, 0.0, 0.3)
 
 def reward_at(T: FloatArray, symmetry: int = 4) -> float:
     stage = InSlots(STAGE.blocks, STAGE.slots, 1.0, symmetry)
-    return Score([stage]).count({"a": T, "b": FAR})
+    return Score([stage]).count(State.of({"a": T, "b": FAR}))
 
 
 @given(
@@ -129,7 +146,7 @@ def test_a_block_counts_within_a_centimetre_and_fifteen_degrees_of_what_looks_th
 
 def test_what_ravens_does_not_see_is_no_strict_success() -> None:
     good = {"a": SLOT.upright(0.02), "b": PlanarPose(0.4, 0.2).upright(0.02)}
-    assert filled(STAGE, good) == {"a": 0, "b": 1}
+    assert STAGE.filled(good) == {"a": 0, "b": 1}
     on_its_side = good["a"].copy()
     on_its_side[:3, :3] = on_its_side[:3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     for wrong in (
@@ -138,38 +155,41 @@ def test_what_ravens_does_not_see_is_no_strict_success() -> None:
         {"b": PlanarPose(SLOT.x + 0.005, SLOT.y, SLOT.yaw).upright(0.02)},  # two in one slot
     ):
         score = Score([STAGE])
-        assert score.count(good | wrong) == 1.0
+        assert score.count(State.of(good | wrong)) == 1.0
         assert score.done
-        assert not all_filled([STAGE], good | wrong)
-    assert all_filled([STAGE], good)
+        assert not STAGE.holds(State.of(good | wrong))
+    assert STAGE.holds(State.of(good))
 
 
 def test_two_near_one_slot_are_shared_out_where_that_is_possible() -> None:
     near = (Slot(PlanarPose(0.4, 0.0), 0.02), Slot(PlanarPose(0.4, 0.012), 0.02))
     stage = InSlots(("a", "b"), near, 1.0)
     poses = {"a": PlanarPose(0.4, 0.006).upright(0.02), "b": PlanarPose(0.4, -0.004).upright(0.02)}
-    assert filled(stage, poses) == {"a": 1, "b": 0}
+    assert stage.filled(poses) == {"a": 1, "b": 0}
 
 
 def test_what_leaves_its_slot_is_taken_back_until_the_stage_is_full() -> None:
     score = Score([STAGE])
     at, beside = {"a": SLOT.upright(0.02), "b": FAR}, {"a": FAR, "b": FAR}
-    assert score.count(at) == 0.5
-    assert score.count(at) == 0.0
-    assert score.count(beside) == -0.5
-    assert score.count({"a": SLOT.upright(0.02), "b": PlanarPose(0.4, 0.2).upright(0.02)}) == 1.0
+    assert score.count(State.of(at)) == 0.5
+    assert score.count(State.of(at)) == 0.0
+    assert score.count(State.of(beside)) == -0.5
+    assert score.count(State.of({"a": SLOT.upright(0.02), "b": PlanarPose(0.4, 0.2).upright(0.02)})) == 1.0
     assert score.done
-    assert score.count(beside) == 0.0
+    assert score.count(State.of(beside)) == 0.0
     assert score.total == 1.0
 
 
 def test_a_block_of_another_stage_earns_nothing_in_a_slot() -> None:
     scene = pyramid.draw(np.random.default_rng(1))
     poses = poses_of(scene)
-    bottom, middle = scene.conditions[0].slots[0].T_base_slot(poses), scene.conditions[1].slots[0].T_base_slot(poses)
-    assert Score(scene.conditions).count(poses | {"red": bottom}) == 0.0
-    assert Score(scene.conditions).count(poses | {"purple": middle}) == 0.0
-    assert Score(scene.conditions).count(poses | {"purple": bottom}) == pytest.approx(1 / 6)
+    bottom, middle = (
+        scene.conditions[0].slots[0].T_base_slot(poses),
+        scene.conditions[1].slots[0].T_base_slot(poses),
+    )
+    assert Score(scene.conditions).count(State.of(poses | {"red": bottom})) == 0.0
+    assert Score(scene.conditions).count(State.of(poses | {"purple": middle})) == 0.0
+    assert Score(scene.conditions).count(State.of(poses | {"purple": bottom})) == pytest.approx(1 / 6)
 
 
 def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
@@ -180,11 +200,11 @@ def test_a_box_may_lie_either_way_round_in_the_corner() -> None:
     for slot in stage.slots:
         for turn in (0.0, np.pi):
             T = slot.T_base_slot(poses) @ PlanarPose(0.0, 0.0, turn).upright(0.0)
-            assert filled(stage, poses | {"box": T})
+            assert stage.filled(poses | {"box": T})
             in_corner = np.linalg.inv(poses["corner"]) @ np.c_[footprint(box, T), np.zeros(4), np.ones(4)].T
             np.testing.assert_allclose(in_corner[:2].min(axis=1), 0.002, atol=1e-9)
     quarter = stage.slots[0].T_base_slot(poses) @ PlanarPose(0.0, 0.0, np.pi / 2).upright(0.0)
-    assert not filled(stage, poses | {"box": quarter})
+    assert not stage.filled(poses | {"box": quarter})
 
 
 def test_the_l_lies_in_its_outline_with_three_millimetres_of_play_one_way_round() -> None:
@@ -204,10 +224,10 @@ def test_the_l_lies_in_its_outline_with_three_millimetres_of_play_one_way_round(
     assert parts[0, 0] not in parts[of_ell == 0.0]  # which has no way out
     for turn, off, fits in ((0.0, 0.009, True), (0.25, 0.0, True), (0.0, 0.011, False), (0.27, 0.0, False)):
         ends = {"ell": T @ PlanarPose(off, 0.0, turn).upright(0.0)}
-        assert bool(filled(stage, poses | ends)) is fits
+        assert bool(stage.filled(poses | ends)) is fits
     for quarter in (1, 2, 3):
         ends = {"ell": T @ PlanarPose(0.0, 0.0, quarter * np.pi / 2).upright(0.0)}
-        assert not filled(stage, poses | ends)
+        assert not stage.filled(poses | ends)
 
 
 def test_bowls_hold_a_block_at_any_yaw() -> None:

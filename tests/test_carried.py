@@ -2,7 +2,6 @@
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -21,37 +20,11 @@ from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.types import Observation, PickPlace
 from baggie.vision.carried import Carried, Things, middle_of, place_belongs_to, place_of, with_turn
-from helpers.box_scenes import box_attempts
+from helpers.box_scenes import GRID, TABLE, box_attempts
+from helpers.outlines import after, drawn, shape
 
-GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
-"""128 x 128 pixels."""
-HEIGHT_M = 0.04
-TABLE = (120, 105, 90)
 L_SHAPE = np.array([[0, 0], [26, 0], [26, 12], [12, 12], [12, 26], [0, 26]], float) - [9.3, 9.3]
 angles, shares = st.floats(-math.pi, math.pi), st.floats(0, 1)
-
-
-def shape(
-    symmetry: int, radius: float, wave: float, middle: Sequence[float] | np.ndarray = (0.0, 0.0)
-) -> np.ndarray:
-    """`(N, 2)` pixels: an outline about its middle that looks the same `symmetry` times a turn, 0 for a circle."""
-    angle = np.linspace(0, 2 * math.pi, 360, endpoint=False)
-    reach = radius * (1 + (wave * np.cos(symmetry * angle) if symmetry else 0))
-    return np.c_[reach * np.cos(angle), reach * np.sin(angle)] + np.asarray(middle)
-
-
-def drawn(outline: np.ndarray, height: float = HEIGHT_M, onto: np.ndarray | None = None) -> np.ndarray:
-    """A height map with what the outline `(N, 2)` encloses that much higher."""
-    heights = np.zeros(GRID.shape, np.float32) if onto is None else onto.copy()
-    mask = np.zeros(GRID.shape, np.uint8)
-    cv2.fillPoly(mask, [np.round(outline * 16).astype(np.int32)], 1, cv2.LINE_8, 4)
-    heights[mask > 0] += height
-    return heights
-
-
-def after(outline: np.ndarray, places: np.ndarray, turn: float) -> np.ndarray:
-    """The outline once it was picked and placed at `places` and turned."""
-    return (outline - places[0]) @ rotation(turn).T + places[1]
 
 
 def as_far(outline: np.ndarray, other: np.ndarray) -> float:

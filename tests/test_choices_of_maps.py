@@ -35,6 +35,7 @@ from baggie.metrics import action_errors, success_rate
 from baggie.options.evaluating import ValidateOptions
 from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
+from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import varied_action
 from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
@@ -363,9 +364,9 @@ def test_maps_say_of_any_plan_what_the_scene_says(name):
     """Where neither the scene nor a map is at the edge of what counts; of slots that stay free maps know nothing."""
     scene, rng = TASKS[name].draw(np.random.default_rng(3)), np.random.default_rng(5)
     there, score, done, attempts, stood = poses_of(scene), Score(scene.conditions), [], [], []
-    while (action := varied_action(scene, there, generator(STYLE, 8, 0, len(done)))) is not None:
+    while (action := varied_action(scene, State.of(there), generator(STYLE, 8, 0, len(done)))) is not None:
         after = carried(action, scene, there)
-        earned = score.count(after)
+        earned = score.count(State.of(after))
         done.append(Done(action, None, earned))
         stood.append(there)
         seen = (seen_from_above(scene, poses) for poses in (there, after))

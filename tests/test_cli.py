@@ -10,7 +10,7 @@ from baggie.cli.main import main
 from baggie.cli.output import show
 from baggie.cli.verbs import BAGGIE, Group, Verb
 from baggie.options.training import TRAININGS
-from baggie.registry import Registry
+from baggie.registry import TASKS, Registry, named
 
 HEAVY = {
     "cv2",
@@ -128,6 +128,23 @@ def test_each_policy_has_options_of_its_own(capsys: pytest.CaptureFixture[str]) 
             assert [option for option in only.values() if option in said] == [only[policy]]
             assert "--save-every-s" in said
     assert only["keypoint"] in help_of(["train"], capsys)
+
+
+@pytest.mark.parametrize("verb", ["collect", "evaluate"])
+def test_help_says_what_each_task_is(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    said = " ".join(help_of([verb], capsys).replace("│", "").split())
+    for name, task in TASKS.all().items():
+        assert f"{name}: {task.instruction}" in said
+
+
+def test_help_says_how_many_steps_each_policy_usually_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    from baggie.learning.transporter import _BATCH, _STEPS
+
+    transporter = ", ".join(f"{n:,} of {_BATCH[preset]} for {preset}" for preset, n in _STEPS.items())
+    for policy, options in TRAININGS.all().items():
+        usually = transporter if policy == "transporter" else f"{named(options.recipe).steps:,}"
+        said = help_of(["train", "--policy", policy], capsys).replace("│", "")
+        assert f"by default {usually}".replace(" ", "") in said.replace(" ", "")
 
 
 @pytest.mark.parametrize(

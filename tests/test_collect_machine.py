@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,7 +30,6 @@ from baggie.collect.machine import (
     random_place,
     run_turn,
 )
-from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle

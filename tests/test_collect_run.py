@@ -13,20 +13,20 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import baggie.collect.sitting as help_module
 import numpy as np
 import pytest
+from baggie.collect.sitting import Awaited, Recording
+from baggie.collect.summary import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 
-import baggie.collect.sitting as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.cell import what_opens
 from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
 from baggie.collect.machine import helped
-from baggie.collect.sitting import Awaited, Recording
-from baggie.collect.summary import coverage
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle

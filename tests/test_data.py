@@ -22,6 +22,7 @@ from baggie.data.lerobot import DTYPES, IMAGE, NUMERIC_FEATURES
 from baggie.errors import DataError
 from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
+from helpers.same import expect_same
 from helpers.synthetic import TASK, make_attempt
 
 SIZE = (64, 36)
@@ -38,28 +39,6 @@ def record(root: Path, ids: list[int], seed: int = 0) -> list[Attempt]:
         for attempt in attempts:
             recording.append(attempt)
     return attempts
-
-
-def expect_same(a: object, b: object) -> None:
-    """Equal in every field, to the bit; NaN equals NaN."""
-    if dataclasses.is_dataclass(a):
-        assert type(a) is type(b)
-        for field in dataclasses.fields(a):
-            expect_same(getattr(a, field.name), getattr(b, field.name))
-    elif isinstance(a, np.ndarray):
-        assert isinstance(b, np.ndarray)
-        assert a.dtype == b.dtype
-        np.testing.assert_array_equal(a, b)
-    elif isinstance(a, dict):
-        assert isinstance(b, dict)
-        assert a.keys() == b.keys()
-        for key in a:
-            expect_same(a[key], b[key])
-    elif isinstance(a, float) and math.isnan(a):
-        assert isinstance(b, float)
-        assert math.isnan(b)
-    else:
-        assert a == b
 
 
 finite = st.floats(-1e6, 1e6)

@@ -21,8 +21,8 @@ from baggie.data.record import MAX_HEIGHT_M, decode_height, encode_height
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import Grid
 from baggie.types import Attempt, Observation
+from helpers.same import expect_same
 from helpers.synthetic import TASK, make_attempt
-from test_data import expect_same
 
 SIZE = (64, 36)
 GRID = Grid((0.3, 0.3 + 64 * 0.005), (-0.09, 0.09), (0.0, 0.3), 0.005)

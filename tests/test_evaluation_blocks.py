@@ -1,5 +1,7 @@
 """The closed loop with blocks: what is measured is what happened, step by step, whatever interrupts it."""
 
+from __future__ import annotations
+
 import json
 import os
 import signal
@@ -19,19 +21,23 @@ from hypothesis import strategies as st
 from baggie import seeds
 from baggie.cli.main import main
 from baggie.errors import BaggieError, DataError, ReachError
-from baggie.evaluation.block_episode import BlockBench, BlockEpisode
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
-from baggie.evaluation.log import read_log
+from baggie.evaluation.log import LOG, Credit, Episode, read_episodes
+from baggie.evaluation.setup import Setup
 from baggie.evaluation.subjects import check_taught
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate
 from baggie.options.evaluating import ReportOptions
-from baggie.policies import DemonstratorPolicy
+from baggie.policies import OraclePolicy
 from baggie.registry import TASKS
 from baggie.report.report import report
+from baggie.tasks.conditions import State
+from baggie.tasks.demonstrator import next_action
+from baggie.tasks.task import Scene
 from baggie.types import Observation, Outcome, PickPlace, Plan
+from baggie.workcell.workcell import Workcell
+from helpers.reports import Page
 from helpers.streaming import Here
-from test_report import Page
 
 TASK = TASKS["block-pyramid"]
 GRID = Grid(x=(0.3, 0.4), y=(-0.1, 0.1), pixel_m=0.005)
@@ -39,33 +45,49 @@ SLOT = PlanarPose(0.35, 0.05)
 
 
 @dataclass
-class FakeScore:
-    total: float = 0.0
+class OnSlot:
+    """A condition of one's own: a quarter for each block that was put on `SLOT`."""
 
-    @property
-    def done(self):
-        return self.total > 1 - 1e-9
+    cell: FakeBlockCell
+    weight: float = 1.0
+
+    def share(self, _state):
+        return self.cell.counted / 4
+
+    def holds(self, _state):
+        return self.cell.counted == 4 and not self.cell.topples
+
+    def next_action(self, _state, _tool):
+        return PickPlace(self.cell.blocks[0], SLOT) if self.cell.blocks else None
 
 
-class FakeBlockCell:
+class FakeBlockCell(Workcell):
     """Four blocks, a quarter of the task each when it comes to lie on `SLOT`; what lies there stays, or falls over."""
 
-    task = TASK
     topples = False
+
+    def __init__(self):
+        self.scene = Scene((), {}, (OnSlot(self),))
 
     def reset(self, seed):
         assert seed[0] == seeds.EVALUATION
         self.rng = seeds.generator(*seed)
         self.blocks = [PlanarPose(0.32, float(y)) for y in self.rng.uniform(-0.08, 0.0, 4)]
-        self.score, self.counted = FakeScore(), 0
+        self.counted = 0
         self.grasps_to_miss = int(seed[-1] % 2)
 
     def look(self):
         noise = self.rng.integers(0, 255, (*GRID.shape, 3))
         return Observation(noise.astype(np.uint8), grid=GRID, height=np.zeros(GRID.shape, np.float32))
 
-    def demonstrate(self):
-        return PickPlace(self.blocks[0], SLOT) if self.blocks else None
+    def state(self):
+        return State({}, {})
+
+    def wait(self, seconds):
+        pass
+
+    def demonstrate(self, rng=None):
+        return next_action(self.scene.conditions, self.state())
 
     def carry_out(self, plan):
         if plan.action.place.x > 0.4:
@@ -79,13 +101,6 @@ class FakeBlockCell:
             self.counted += 1
         return Outcome(plan.action)
 
-    def count(self):
-        before, self.score.total = self.score.total, self.counted / 4
-        return self.score.total - before
-
-    def strict_success(self):
-        return self.score.done and not self.topples
-
     @contextmanager
     def film(self, size=(64, 48), fps=20):
         frames = []
@@ -93,7 +108,7 @@ class FakeBlockCell:
         frames += [np.full((48, 64, 3), shade, np.uint8) for shade in range(0, 200, 20)]
 
 
-class HeatDemonstrator(DemonstratorPolicy):
+class HeatDemonstrator(OraclePolicy):
     """Does what is right, moved by `off_m`, with heat maps; kills the evaluation in the middle if told to."""
 
     plans, die_at, off_m = 0, None, 0.0
@@ -119,35 +134,35 @@ class Undecided:
 
 def open_right(_options):
     cell = FakeBlockCell()
-    return BlockBench(cell, HeatDemonstrator(cell.demonstrate))
+    return Setup(cell, HeatDemonstrator(cell.demonstrate))
 
 
 def open_beside(options):
-    bench = open_right(options)
-    bench.policy.off_m = 0.03
-    return bench
+    setup = open_right(options)
+    setup.policy.off_m = 0.03
+    return setup
 
 
 def open_too_far(options):
-    bench = open_right(options)
-    bench.policy.off_m = 0.1
-    return bench
+    setup = open_right(options)
+    setup.policy.off_m = 0.1
+    return setup
 
 
 def open_toppling(options):
-    bench = open_right(options)
-    bench.cell.topples = True
-    return bench
+    setup = open_right(options)
+    setup.cell.topples = True
+    return setup
 
 
 def open_undecided(_options):
-    return BlockBench(FakeBlockCell(), Undecided())
+    return Setup(FakeBlockCell(), Undecided())
 
 
 def open_deadly(options):
-    bench = open_right(options)
-    bench.policy.die_at = 7  # episode 0 takes 4 plans, episode 1 takes 5
-    return bench
+    setup = open_right(options)
+    setup.policy.die_at = 7  # episode 0 takes 4 plans, episode 1 takes 5
+    return setup
 
 
 evaluate_here = partial(evaluate, executor=Here())
@@ -159,7 +174,7 @@ def options(out, **changes):
 
 
 def timeless(out):
-    records = [json.loads(line) for line in (out / "block-episodes.jsonl").read_text().splitlines()]
+    records = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
     for record in records:
         record.pop("wall_s")
         for step in record["steps"]:
@@ -184,7 +199,7 @@ def test_what_the_demonstrator_does_is_a_success_and_leaves_pictures_of_every_st
 
 
 @pytest.mark.parametrize(
-    ("bench", "expected"),
+    ("opened", "expected"),
     [
         (open_undecided, ("no-plan", 1, 0.0)),
         (open_beside, ("unfinished", TASK.max_steps, 0.0)),
@@ -192,9 +207,9 @@ def test_what_the_demonstrator_does_is_a_success_and_leaves_pictures_of_every_st
         (open_toppling, ("ravens-only", 4, 1.0)),
     ],
 )
-def test_every_episode_that_fails_has_a_cause(tmp_path, bench, expected):
+def test_every_episode_that_fails_has_a_cause(tmp_path, opened, expected):
     cause, steps, done = expected
-    metrics = evaluate_here(options(tmp_path, episodes=1), bench)
+    metrics = evaluate_here(options(tmp_path, episodes=1), opened)
     assert metrics["success"]["rate"] == 0.0
     assert metrics["failures"] == {cause: 1}
     assert metrics["steps"]["max"] == steps
@@ -227,14 +242,14 @@ def test_the_simulated_oracle_does_a_task(tmp_path):
 
 def test_records_come_back_as_they_were_logged_and_another_version_is_refused(tmp_path):
     evaluate_here(options(tmp_path, episodes=1), open_right)
-    log = tmp_path / "block-episodes.jsonl"
-    (episode,) = read_log(log, BlockEpisode)
-    assert BlockEpisode.from_json(json.loads(json.dumps(episode.to_json()))) == episode
+    log = tmp_path / LOG
+    (episode,) = read_episodes(tmp_path).values()
+    assert Episode.from_json(json.loads(json.dumps(episode.to_json()))) == episode
     record = json.loads(log.read_text())
     del record["steps"][0]["reward"]
     log.write_text(json.dumps(record) + "\n")
     with pytest.raises(DataError, match=r"without \['reward'\].*evaluate again"):
-        read_log(log, BlockEpisode)
+        read_episodes(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -266,10 +281,10 @@ def test_the_page_shows_success_failures_and_every_step(tmp_path):
     text = report(ReportOptions((tmp_path / "runs",), tmp_path / "r.html")).read_text()
     assert "http" not in text
     page = Page(text)
-    assert {"video", "numbers", "blocks", "origin"} <= set(page.ids)
+    assert {"video", "numbers", "tasks", "origin"} <= set(page.ids)
     assert not {"closed-loop", "validation", "heat"} & set(page.ids)
     words = " ".join(page.words)
-    assert "Blocks into place" in words
+    assert "Things into place" in words
     assert "4 of 4 (51 to 100%)" in words
     assert "0 of 2" in words
     assert "ravens-only" in words
@@ -282,13 +297,70 @@ def test_the_page_shows_success_failures_and_every_step(tmp_path):
 
 
 @settings(max_examples=50)
-@given(st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=12))
-def test_a_step_says_what_it_has_done(rewards):
+@given(st.lists(st.floats(-0.5, 0.5), max_size=12))
+def test_what_earlier_versions_logged_of_tasks_of_several_steps_is_read(rewards):
     record = {"planned": None, "executed": None, "confidence": 0.0, "failure": "", "message": ""}
     steps = [{**record, "reward": reward, "decision_ms": 1.0} for reward in rewards]
     ending = {"partial_credit": sum(rewards), "ravens_success": False, "success": False}
     line = {"episode": 3, "steps": steps, **ending, "failure": "unfinished", "message": "", "wall_s": 1.0}
-    assert json.loads(json.dumps(BlockEpisode.from_json(line).to_json())) == line
+    episode = Episode.from_json(line)
+    assert episode.credit == Credit(**ending)
+    assert [step.reward for step in episode.steps] == rewards
+    assert episode.landing is None
+    assert Episode.from_json(json.loads(json.dumps(episode.to_json()))) == episode
+
+
+OLD_BAG = {
+    "episode": 2,
+    "start": [0.4, 0.1, 0.5],
+    "goal": [0.6, -0.1, 0.0],
+    "final": [0.61, -0.1, 0.1],
+    "distance_cm": 1.0,
+    "yaw_error_deg": 5.7,
+    "planned": [0.4, 0.1, 0.5, 0.6, -0.1, 0.0],
+    "executed": None,
+    "pick_error_cm": 0.1,
+    "place_error_cm": 0.2,
+    "pick_yaw_error_deg": 0.3,
+    "pick_within_m": 0.01,
+    "place_within_m": None,
+    "confidence": 0.7,
+    "looks": 2,
+    "failure": "out-of-reach",
+    "message": "too far",
+    "decision_ms": [3.0, 4.0],
+    "wall_s": 9.0,
+}
+
+
+def test_what_earlier_versions_logged_of_bags_is_read():
+    episode = Episode.from_json(OLD_BAG)
+    missed, last = episode.steps
+    assert (missed.failure, missed.planned, missed.decision_ms) == ("missed-grasp", None, 3.0)
+    assert (last.failure, last.message, last.decision_ms) == ("out-of-reach", "too far", 4.0)
+    assert (last.pick_error_cm, last.pick_within_m, last.confidence) == (0.1, 0.01, 0.7)
+    assert episode.landing is not None
+    assert episode.landing.final == (0.61, -0.1, 0.1)
+    assert episode.succeeded(1.0)
+    assert not episode.succeeded(0.9)
+    assert Episode.from_json(json.loads(json.dumps(episode.to_json()))) == episode
+    assert (
+        Episode.from_json(OLD_BAG | {"decision_ms": [], "looks": 0}).steps == ()
+    )  # there was no card to be seen
+
+
+def test_an_evaluation_begun_by_an_earlier_version_goes_on(tmp_path):
+    evaluate_here(options(tmp_path, episodes=2), open_right)
+    new = timeless(tmp_path)
+    kept = {"planned", "executed", "reward", "confidence", "failure", "message", "decision_ms"}
+    with (tmp_path / LOG).open() as log, (tmp_path / "block-episodes.jsonl").open("w") as old:
+        record = json.loads(log.readline())
+        steps = [{name: step[name] for name in kept} for step in record["steps"]]
+        flat = {name: record[name] for name in ("episode", "failure", "message", "wall_s")}
+        old.write(json.dumps({**flat, **record["credit"], "steps": steps}) + "\n")
+    (tmp_path / LOG).unlink()
+    assert evaluate_here(options(tmp_path, episodes=2), open_right)["success"] == success_rate(2, 2)
+    assert timeless(tmp_path) == new[1:]
 
 
 FROM_ABOVE_TASKS = {name for name, task in TASKS.all().items() if task.view == "height-map"}

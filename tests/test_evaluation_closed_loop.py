@@ -5,145 +5,30 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from baggie import seeds
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data.files import CALIBRATION_FOLDER
-from baggie.errors import BaggieError, DataError, ReachError
+from baggie.errors import BaggieError, DataError
 from baggie.evaluation import closed_loop as module
-from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
+from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.log import append_line, read_lines
-from baggie.evaluation.setup import Bench
-from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.oracle import OraclePolicy
-from baggie.types import Observation, Outcome
-from baggie.workcell.workcell import WorkcellSettings
-from helpers.streaming import Here
-from helpers.synthetic import RED, WORKSPACE, box_corners, to_pixels
-
-SIZE = (320, 180)
-
-
-class FakeCell:
-    """A bag that lands where it is put; the first grasp of every third episode misses."""
-
-    def __init__(self):
-        self.settings = WorkcellSettings(workspace=WORKSPACE)
-
-    def reset(self, seed):
-        assert seed[0] == seeds.EVALUATION
-        self.rng = seeds.generator(*seed)
-        x, y = WORKSPACE.sample(self.rng, 0.02)
-        self.bag = PlanarPose(float(x), float(y), float(self.rng.uniform(-0.7, 0.7)))
-        self.misses = 1 if seed[-1] % 3 == 0 else 0
-
-    def look(self):
-        return Observation(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
-
-    def truth(self):
-        return self.bag
-
-    def goal_corners(self, pose):
-        return box_corners(pose, SIZE)
-
-    def second_truth(self):
-        return None
-
-    def obstacles(self):
-        return []
-
-    def lay_card(self, pose):
-        self.card = pose
-
-    def carry_out(self, plan):
-        action = plan.action
-        if self.misses:
-            self.misses -= 1
-            return Outcome(action, "missed-grasp")
-        if action.place.x > 0.7:
-            raise ReachError("too far")
-        self.bag = PlanarPose(action.place.x, action.place.y, 0.0)
-        return Outcome(action)
-
-    @contextmanager
-    def film(self, size=(64, 48), fps=20):
-        frames = []
-        yield frames
-        frames += [np.full((48, 64, 3), shade, np.uint8) for shade in range(0, 200, 20)]
-
-    def close(self):
-        pass
-
-
-class HeatOracle(OraclePolicy):
-    """Tells the truth, with a heat map, and kills the evaluation in the middle of a plan if told to."""
-
-    plans = 0
-    die_at = None
-
-    def plan(self, observation, goal):
-        self.plans += 1
-        if self.plans == self.die_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-        view = np.zeros((9, 16), np.float32)
-        view[4, 5] = 1
-        return replace(super().plan(observation, goal), views={"pick": view})
-
-
-class BlindPolicy:
-    name = "blind"
-
-    def plan(self, observation, goal):
-        raise BaggieError("no bag in sight")
-
-
-def open_perfect(_options, off_m=0.0):
-    cell = FakeCell()
-    bench = Bench(cell, HeatOracle(cell.truth, lambda: bench.goal @ PlanarPose(off_m, 0.0)))
-    return bench
-
-
-def open_off_by_25_mm(options):
-    return open_perfect(options, 0.025)
-
-
-def open_far(options):
-    return open_perfect(options, 1.0)
-
-
-def open_blind(_options):
-    return Bench(FakeCell(), BlindPolicy())
-
-
-def open_deadly(options):
-    bench = open_perfect(options)
-    bench.policy.die_at = 4  # the first episode takes two plans
-    return bench
-
-
-evaluate_here = partial(evaluate, executor=Here())
-
-
-def options(out, **changes):
-    return EvaluateOptions(
-        **{"policy": "oracle", "out": out, "episodes": 5, "workers": 1, "film": 1} | changes
-    )
-
-
-def timeless(out):
-    lines = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
-    for line in lines:
-        line.pop("wall_s"), line.pop("decision_ms")
-    return sorted(lines, key=lambda line: line["episode"])
+from helpers.bag_evaluations import (
+    SIZE,
+    evaluate_here,
+    open_blind,
+    open_far,
+    open_off_by_25_mm,
+    open_perfect,
+    options,
+    timeless,
+)
+from helpers.synthetic import RED, to_pixels
 
 
 def test_oracle_always_succeeds(tmp_path):
@@ -153,9 +38,9 @@ def test_oracle_always_succeeds(tmp_path):
     assert one["distance_cm"]["max"] < 1e-9
     assert one["failures"] == {}
     # It looked again where the gripper had missed: episodes 0 and 3.
-    assert [line["looks"] for line in timeless(tmp_path / "one")] == [2, 1, 1, 2, 1]
+    assert [len(line["steps"]) for line in timeless(tmp_path / "one")] == [2, 1, 1, 2, 1]
     for line in timeless(tmp_path / "one"):
-        assert np.hypot(*(np.array(line["goal"]) - line["start"])[:2]) >= 0.2
+        assert np.hypot(*(np.array(line["landing"]["goal"]) - line["landing"]["start"])[:2]) >= 0.2
     names = {path.name for path in (tmp_path / "one/episodes").iterdir()}
     kinds = {f"episode-{n:04d}-{kind}.jpg" for n in range(5) for kind in ("before", "after", "heat")}
     assert names == kinds | {"episode-0000.mp4"}
@@ -170,9 +55,9 @@ def test_a_known_error_is_what_is_measured(tmp_path):
     assert metrics["failures"] == {"off-goal": 5}
 
 
-@pytest.mark.parametrize(("bench", "cause"), [(open_blind, "no-plan"), (open_far, "out-of-reach")])
-def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, bench, cause):
-    metrics = evaluate_here(options(tmp_path, episodes=2, retries=0), bench)
+@pytest.mark.parametrize(("opened", "cause"), [(open_blind, "no-plan"), (open_far, "out-of-reach")])
+def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, opened, cause):
+    metrics = evaluate_here(options(tmp_path, episodes=2, retries=0), opened)
     assert metrics["success"]["rate"] == 0.0
     assert set(metrics["failures"]) <= {cause, "missed-grasp"}
     assert metrics["failures"][cause] >= 1
@@ -180,7 +65,7 @@ def test_what_a_policy_cannot_do_is_a_failure_with_its_cause(tmp_path, bench, ca
 
 def test_killed_and_run_again_by_two_workers_gives_what_one_gives_undisturbed(tmp_path):
     program = (
-        "import sys; from pathlib import Path; import test_evaluation_closed_loop as t; "
+        "import sys; from pathlib import Path; from helpers import bag_evaluations as t; "
         "t.evaluate_here(t.options(Path(sys.argv[1]), episodes=3), t.open_deadly)"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}

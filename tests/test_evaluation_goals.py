@@ -16,18 +16,20 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.machine import MIN_DISTANCE_M
 from baggie.errors import BaggieError, DataError, UnsureError
-from baggie.evaluation.episode import Episode
 from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
-from baggie.evaluation.log import read_log
-from baggie.evaluation.setup import Bench, card_map
+from baggie.evaluation.log import read_episodes
+from baggie.evaluation.setup import Setup, card_map
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.choices import CARD_COLOR
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.oracle import OraclePolicy
+from baggie.sim.bag import Bag
+from baggie.tasks.conditions import State
+from baggie.tasks.task import Scene
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
+from helpers.bag_evaluations import FakeCell, evaluate_here, open_perfect, options, timeless
 from helpers.synthetic import WORKSPACE, intrinsics, to_pixels
-from test_evaluation_closed_loop import FakeCell, evaluate_here, open_perfect, options, timeless
 
 CARD = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.065
 KINDS = ("virtual", "turned", "card")
@@ -42,11 +44,15 @@ class Table(FakeCell):
         self.second, self.standing, self.card_shows = second, list(obstacles), card_shows
         self.card = None
 
-    def second_truth(self):
-        return self.second
+    def reset(self, seed):
+        super().reset(seed)
+        if self.second:
+            bags = Bag(), Bag(name="second bag")
+            self.scene = Scene(bags, {"bag": self.bag, "second bag": self.second})
 
-    def obstacles(self):
-        return self.standing
+    def state(self):
+        places = {"bag": self.bag} | ({"second bag": self.second} if self.second else {})
+        return State({}, places, tuple(self.standing))
 
     def look(self):
         image = np.full((720, 1280, 3), 120, np.uint8)
@@ -55,7 +61,7 @@ class Table(FakeCell):
             image = paint_goal(image, Goal(to_pixels(np.c_[flat[:, :2], np.zeros(4)]), color=CARD_COLOR))
         return Observation(image)
 
-    def goal_corners(self, pose):
+    def outline(self, pose):
         half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.06
         flat = np.c_[half, np.ones(4)] @ pose.matrix().T
         return to_pixels(np.c_[flat[:, :2], np.full(4, 0.015)])
@@ -71,7 +77,7 @@ def scene(cell, seed, number):
 
 
 def drawn(cell, kind, names):
-    return draw_goal(cell, cell.truth(), kind, names)
+    return draw_goal(cell, cell.bag, kind, names)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +115,7 @@ def test_goals_keep_clear_of_everything(seed, kind, symmetry, things):
     cell.settings = replace(cell.settings, workspace=Rectangle(0.2, 0.8, -0.4, 0.4))  # there is always room
     goal = drawn(cell, kind, stream(seed, 0))
     assert cell.settings.workspace.contains(goal.x, goal.y)
-    assert goal.distance(cell.truth()) >= MIN_DISTANCE_M
+    assert goal.distance(cell.bag) >= MIN_DISTANCE_M
     assert all(goal.distance(other) >= CLEARANCE_M for other in standing)
     assert abs(goal.yaw) <= math.pi / max(symmetry, 1)
 
@@ -124,18 +130,18 @@ def test_a_full_table_is_told():
 @given(st.integers(0, 2**20))
 def test_a_click_is_on_the_bag_to_be_moved_and_only_where_there_are_two(seed):
     cell = scene(Table(second=PlanarPose(0.4, 0.2)), seed, 0)
-    bench = Bench(cell, OraclePolicy(cell.truth, cell.truth))
-    goals = [goal_in(bench, "virtual", PlanarPose(0.5, 0), cell.look(), stream(seed, 0)) for _ in range(2)]
+    setup = Setup(cell, OraclePolicy(cell.demonstrate))
+    goals = [goal_in(setup, "virtual", PlanarPose(0.5, 0), cell.look(), stream(seed, 0)) for _ in range(2)]
     assert goals[0].object_at == goals[1].object_at
-    bag = cell.truth()
+    bag = cell.bag
     rim = np.linspace(0, 2 * np.pi, 90)
     away = to_pixels(np.c_[bag.x + CLICK_M * np.cos(rim), bag.y + CLICK_M * np.sin(rim), np.full(90, 0.015)])
-    middle = cell.goal_corners(bag).mean(axis=0)
+    middle = cell.outline(bag).mean(axis=0)
     assert (
         np.linalg.norm(np.array(goals[0].object_at) - middle)
         <= 1.02 * np.linalg.norm(away - middle, axis=1).max()
     )
-    alone = Bench(scene(Table(), seed, 0), bench.policy)
+    alone = Setup(scene(Table(), seed, 0), setup.policy)
     assert goal_in(alone, "virtual", PlanarPose(0.5, 0), cell.look(), stream(seed, 0)).object_at is None
 
 
@@ -146,11 +152,11 @@ def test_a_raised_card_is_where_a_bag_on_it_would_be_seen_and_one_as_seen_is_not
     cell.lay_card(pose)
     off = []
     for to_robot in (drawn_map, None):
-        bench = Bench(cell, OraclePolicy(cell.truth, cell.truth), to_robot)
-        goal = goal_in(bench, "card", pose, cell.look(), stream(0, 0))
+        setup = Setup(cell, OraclePolicy(cell.demonstrate), to_robot)
+        goal = goal_in(setup, "card", pose, cell.look(), stream(0, 0))
         assert goal.style == "card"
         assert np.allclose(goal.color, CARD_COLOR, atol=2)
-        off.append(np.linalg.norm(goal.center - cell.goal_corners(pose).mean(axis=0)))
+        off.append(np.linalg.norm(goal.center - cell.outline(pose).mean(axis=0)))
     assert off[0] < 0.3
     middle = np.array([[x, y, 0.0], [x, y, 0.015]])
     parallax = np.linalg.norm(np.diff(to_pixels(middle), axis=0))
@@ -177,13 +183,13 @@ class PictureOracle(OraclePolicy):
 
 
 def opener(to_robot, radii_m=(None, None), **table):
-    def open_bench(_options):
+    def open_own(_options):
         cell = Table(**table)
-        policy = PictureOracle(cell.truth, cell.truth)
+        policy = PictureOracle(cell.demonstrate)
         policy.to_robot, policy.radii_m = to_robot, radii_m
-        return Bench(cell, policy, to_robot)
+        return Setup(cell, policy, to_robot)
 
-    return open_bench
+    return open_own
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -203,7 +209,7 @@ def test_a_card_that_is_not_seen_is_a_failure_of_its_own_never_taken_from_the_tr
     assert metrics["failures"] == {"no-card": 2}
     assert metrics["success"]["rate"] == 0.0
     assert "pick_error_cm" not in metrics
-    assert all(line["planned"] is line["pick_error_cm"] is None for line in timeless(tmp_path))
+    assert all(line["steps"] == [] for line in timeless(tmp_path))
     assert all("lay it where the camera sees" in line["message"] for line in timeless(tmp_path))
 
 
@@ -213,7 +219,7 @@ def test_confidence_is_measured_and_what_is_too_unsure_asks_for_help(tmp_path, d
     assert confidence["pick_within"]["rate"] == 1.0
     assert confidence["place_within"]["rate"] == 0.0
     assert confidence["pick_radius_cm"]["mean"] == pytest.approx(0.4)
-    assert {line["place_within_m"] for line in timeless(tmp_path / "sure")} == {1e-7}
+    assert {line["steps"][-1]["place_within_m"] for line in timeless(tmp_path / "sure")} == {1e-7}
 
     def refuse(self, plan):
         raise UnsureError("less sure than asked for")
@@ -223,12 +229,13 @@ def test_confidence_is_measured_and_what_is_too_unsure_asks_for_help(tmp_path, d
     assert asked["failures"] == {"unsure": 5}
     assert asked["asked_for_help"]["rate"] == 1.0
     assert asked["pick_error_cm"]["n"] == 5
-    assert {line["looks"] for line in timeless(tmp_path / "unsure")} == {1}
+    assert {len(line["steps"]) for line in timeless(tmp_path / "unsure")} == {1}
 
 
 def test_a_round_bag_has_no_wrong_angle(tmp_path, drawn_map):
     evaluate_here(options(tmp_path, episodes=2), opener(drawn_map, symmetry=0))
-    assert all(line["yaw_error_deg"] == line["pick_yaw_error_deg"] == 0.0 for line in timeless(tmp_path))
+    for line in timeless(tmp_path):
+        assert line["landing"]["yaw_error_deg"] == line["steps"][-1]["pick_yaw_error_deg"] == 0.0
 
 
 @pytest.mark.parametrize("change", [{"goal": "turned"}, {"scenery": "unseen"}])
@@ -246,15 +253,12 @@ def test_a_log_of_another_version_is_refused_in_one_line(tmp_path):
     evaluate_here(options(tmp_path, episodes=1), open_perfect)
     log = tmp_path / "episodes.jsonl"
     record = json.loads(log.read_text())
-    assert Episode.from_json(record).to_json() == {**record} | {
-        key: tuple(value) for key, value in record.items() if isinstance(value, list)
-    }
-    del record["pick_error_cm"]
+    del record["steps"][0]["pick_error_cm"]
     log.write_text(json.dumps(record) + "\n")
     with pytest.raises(
         DataError, match=r"episodes.jsonl: .*without \['pick_error_cm'\].*evaluate again"
     ) as raised:
-        read_log(log, Episode)
+        read_episodes(tmp_path)
     assert "\n" not in str(raised.value)
 
 

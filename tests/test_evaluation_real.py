@@ -10,17 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import test_evaluation_closed_loop as simulated
 from baggie.collect.calibrate import calibrate
-from baggie.workcell.by_color import detect
-from baggie.workcell.workcell import at_outline
 from baggie.errors import BaggieError, BaggieWarning
-from baggie.evaluation import bag_place as closed_loop_of_bags
+from baggie.evaluation import terms as module
 from baggie.evaluation.closed_loop import EvaluateOptions
-from baggie.evaluation.episode import Episode
-from baggie.evaluation.log import read_log
-from baggie.evaluation.opening import SeenCell, open_real_bench
-from baggie.evaluation.setup import Bench
+from baggie.evaluation.log import read_episodes
+from baggie.evaluation.setup import ObjectFinder, Setup, open_setup
 from baggie.geometry import PlanarPose
 from baggie.options.evaluating import ReportOptions
 from baggie.policies import ColorMaskPolicy, KeypointPolicy
@@ -28,9 +23,11 @@ from baggie.policies.keypoint.network import KeypointNet
 from baggie.policies.keypoint.plan import View
 from baggie.report.report import report
 from baggie.types import Outcome
-from baggie.workcell.workcell import Calibrations, WorkcellSettings
+from baggie.workcell.by_color import detect
+from baggie.workcell.workcell import Calibrations, WorkcellSettings, at_outline
+from helpers import bag_evaluations as simulated
+from helpers.bag_evaluations import evaluate_here
 from helpers.fake_workcell import FakeCell
-from test_evaluation_closed_loop import evaluate_here
 
 FILE = Path("cell.yaml")
 
@@ -49,7 +46,7 @@ class RealFake(FakeCell):
         else:
             self.lay_anew(0)
 
-    def truth(self):
+    def state(self):
         return None
 
     def look(self):
@@ -65,10 +62,10 @@ def calibrated(cell):
     return cell
 
 
-def bench(cell, options):
-    seen = SeenCell(cell, FILE)
-    policy = ColorMaskPolicy(seen.image_to_robot, cell.settings.object_color)
-    return Bench(seen, policy, seen.image_to_robot, seen.find)
+def setup(cell, options):
+    find = ObjectFinder(cell, FILE)
+    policy = ColorMaskPolicy(find.image_to_robot, cell.settings.object_color)
+    return Setup(cell, policy, find.image_to_robot, find)
 
 
 def options(tmp_path, **asked):
@@ -81,10 +78,10 @@ def cell():
 
 
 def test_what_is_seen_is_where_it_is(cell):
-    seen = SeenCell(cell, FILE)
+    find = ObjectFinder(cell, FILE)
     for seed in range(5):
         cell.lay_anew(seed)
-        assert seen.find(seen.look()).distance(cell.bag) < 0.004
+        assert find(cell.look()).distance(cell.bag) < 0.004
 
 
 CUBE_M = 0.065
@@ -111,14 +108,14 @@ def test_a_high_thing_is_found_where_it_is_once_its_height_is_written_down(cube)
     flat = replace(cube.settings, object_size_m=(CUBE_M, CUBE_M, 0.03))
     assert off_mm(cube, cube.settings) < 2
     assert off_mm(cube, flat) > 4
-    assert SeenCell(cube, FILE).image_to_robot.height_m == CUBE_M / 2
+    assert ObjectFinder(cube, FILE).image_to_robot.height_m == CUBE_M / 2
 
 
 def test_a_high_thing_is_judged_where_it_is(cube, tmp_path):
-    metrics = evaluate_here(options(tmp_path), functools.partial(bench, cube))
+    metrics = evaluate_here(options(tmp_path), functools.partial(setup, cube))
     assert metrics["success"]["rate"] == 1.0
-    for episode in read_log(tmp_path / "episodes.jsonl", Episode):
-        assert math.dist(episode.goal[:2], episode.final[:2]) < 0.02
+    for episode in read_episodes(tmp_path).values():
+        assert math.dist(episode.landing.goal[:2], episode.landing.final[:2]) < 0.02
 
 
 def test_a_map_of_another_height_says_what_it_costs(cube):
@@ -139,48 +136,48 @@ def test_the_marker_passes_over_a_high_thing(cube, monkeypatch):
 
 
 def test_what_was_seen_belongs_to_its_picture_and_asking_for_it_moves_nothing(cell):
-    asked = bench(cell, None)
+    asked = setup(cell, None)
     picture, then = asked.cell.look(), cell.bag
     cell.arm.move_to(PlanarPose(0.5, 0.0).at_height(0.2), 0.1)
     cell.bag = PlanarPose(0.5, 0.2)
-    assert asked.bag_in(picture).distance(then) < 0.004
-    assert asked.cell.truth() is None
+    assert asked.object_in(picture).distance(then) < 0.004
+    assert asked.cell.state() is None
     assert cell.arm.pose() != cell.arm.park()
     assert cell.looks == 1
 
 
 def test_an_episode_takes_three_pictures(cell, tmp_path):
-    in_cell = functools.partial(bench, cell)
+    in_cell = functools.partial(setup, cell)
     evaluate_here(options(tmp_path), in_cell)
     assert cell.looks == 3 * 4
-    for episode in read_log(tmp_path / "episodes.jsonl", Episode):
-        assert episode.pick_error_cm < 1e-9  # the policy plans from the picture, and so is measured
+    for episode in read_episodes(tmp_path).values():
+        assert episode.steps[-1].pick_error_cm < 1e-9  # the policy plans from the picture, and so is measured
 
 
 def test_a_bag_the_policy_puts_out_of_reach_is_its_own_affair(cell, tmp_path):
     far = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.03)
     cell.carry_out = lambda plan: setattr(cell, "bag", far) or Outcome(plan.action)
-    in_cell = functools.partial(bench, cell)
+    in_cell = functools.partial(setup, cell)
     assert evaluate_here(replace(options(tmp_path), episodes=1), in_cell)["success"]["rate"] == 0
     with pytest.raises(BaggieError, match="put it back"):
         evaluate_here(replace(options(tmp_path), episodes=2), in_cell)
 
 
 def test_each_scene_starts_where_the_last_one_ended(cell, tmp_path):
-    metrics = evaluate_here(options(tmp_path), functools.partial(bench, cell))
+    metrics = evaluate_here(options(tmp_path), functools.partial(setup, cell))
     assert metrics["success"]["rate"] == 1.0
     assert metrics["workcell"] == str(FILE)
-    episodes = list(read_log(tmp_path / "episodes.jsonl", Episode))
-    for before, after in pairwise(episodes):
+    landings = [episode.landing for episode in read_episodes(tmp_path).values()]
+    for before, after in pairwise(landings):
         start, end = PlanarPose(*after.start), PlanarPose(*before.final)
         assert start.distance(end) < 0.004
 
 
 def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
     run = tmp_path / "run"
-    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(setup, cell))
     text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
-    assert "4 of 4 bags to within 2 cm" in text
+    assert "4 of 4 things to within 2 cm" in text
     assert f"color-mask was tried on a real arm ({FILE})" in text
     assert "Plans against what the camera saw" in text
     assert "truth" not in text
@@ -188,13 +185,13 @@ def test_it_is_reported_as_measured_by_the_camera(cell, tmp_path):
 
 def test_a_simulated_and_a_real_cell_are_two_rows_of_a_report(cell, tmp_path):
     run = tmp_path / "run"
-    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(bench, cell))
+    evaluate_here(replace(options(tmp_path), out=run / "real", film=0), functools.partial(setup, cell))
     evaluate_here(
         simulated.options(run / "simulated", policy="color-mask", film=0), simulated.open_off_by_25_mm
     )
     text = report(ReportOptions((run,), tmp_path / "report.html")).read_text()
     assert f"color-mask, {FILE}" in text
-    assert "0 of 5 bags to within 2 cm" in text  # the page is about the simulated one
+    assert "0 of 5 things to within 2 cm" in text  # the page is about the simulated one
     assert "Plans against the truth or what the camera saw" in text
 
 
@@ -205,7 +202,7 @@ def test_what_a_workcell_file_says_is_part_of_what_is_evaluated_and_where_its_ca
 
     def says(written):
         file.write_text(written)
-        return closed_loop_of_bags._says(file)
+        return module._says(file)
 
     first = says(text)
     assert (
@@ -220,29 +217,29 @@ def test_metrics_say_which_arm_moved(cell, tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: {kind: franka, host: 10.0.0.2, model: panda}\ncamera: 0\n")
     asked = replace(options(tmp_path / "out"), episodes=1, workcell=file)
-    assert evaluate_here(asked, functools.partial(bench, cell))["robot"] == "Panda"
+    assert evaluate_here(asked, functools.partial(setup, cell))["robot"] == "Panda"
 
 
 def test_a_lost_bag_ends_it_with_one_line_and_nothing_is_lost(cell, tmp_path):
     cell.script = [None, "lost-bag"]
     with pytest.raises(BaggieError, match="bring it back into view") as raised:
-        evaluate_here(options(tmp_path), functools.partial(bench, cell))
+        evaluate_here(options(tmp_path), functools.partial(setup, cell))
     assert "\n" not in str(raised.value)
-    assert len(read_log(tmp_path / "episodes.jsonl", Episode)) == 1
+    assert len(read_episodes(tmp_path)) == 1
     cell.script, cell.hidden = [], False  # a person has put it back
-    assert evaluate_here(options(tmp_path), functools.partial(bench, cell))["success"]["n"] == 4
+    assert evaluate_here(options(tmp_path), functools.partial(setup, cell))["success"]["n"] == 4
 
 
 def test_a_bag_out_of_reach_is_not_counted_against_the_policy(cell, tmp_path):
     cell.bag = replace(cell.bag, x=cell.settings.limits.workspace.x_max + 0.02, y=0.0)
     with pytest.raises(BaggieError, match="put it back"):
-        evaluate_here(options(tmp_path), functools.partial(bench, cell))
+        evaluate_here(options(tmp_path), functools.partial(setup, cell))
     assert not (tmp_path / "episodes.jsonl").exists()
 
 
 def test_without_a_map_nobody_can_measure():
     with pytest.raises(BaggieError, match=re.escape("image_to_robot below `calibrations` in cell.yaml")):
-        SeenCell(RealFake(), FILE)
+        ObjectFinder(RealFake(), FILE)
 
 
 @pytest.mark.parametrize(
@@ -265,17 +262,17 @@ def test_a_policy_of_another_camera_is_refused_before_the_first_episode(tmp_path
     view = View((640, 360), 0, 0, 640, 360, (160, 88))
     KeypointPolicy(network, view, 0).save_pretrained(tmp_path / "run")
     opened = calibrated(RealFake(size=(640, 480)))
-    monkeypatch.setattr("baggie.evaluation.opening.open_workcell", lambda _: opened)
-    monkeypatch.setattr("baggie.evaluation.opening.RealWorkcell", RealFake)
+    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda _: opened)
+    monkeypatch.setattr("baggie.workcell.config.RealWorkcell", RealFake)
     asked = replace(options(tmp_path / "out"), policy=str(tmp_path / "run"))
     with pytest.raises(
         BaggieError, match="trained on pictures of 640 x 360 pixels, but got one of 640 x 480"
     ):
-        open_real_bench(asked)
+        open_setup(asked)
 
 
 def test_a_simulated_cell_in_a_file_is_no_real_one(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("arm: sim\n")
     with pytest.raises(BaggieError, match="--cell N"):
-        open_real_bench(replace(options(tmp_path / "out"), workcell=file))
+        open_setup(replace(options(tmp_path / "out"), workcell=file))

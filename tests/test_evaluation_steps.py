@@ -22,6 +22,7 @@ from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.blocks import Block
 from baggie.tasks import demonstrator as varied
+from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import next_action, varied_action
 from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
@@ -46,7 +47,7 @@ def steps_of(episode):
     """What our own demonstrator does, by an arm without any error."""
     scene = scene_of(episode)
     there, steps = poses_of(scene), []
-    while (action := next_action(scene.conditions, there)) is not None:
+    while (action := next_action(scene.conditions, State.of(there))) is not None:
         there = carried(action, scene, there)
         steps.append(action)
     return steps
@@ -198,12 +199,12 @@ def played(scene, seed):
     """Recorded steps of the style of others, each with what it earned, and what was right before each."""
     there, score, steps = poses_of(scene), Score(scene.conditions), []
     for step in range(100):
-        action = varied_action(scene, there, generator(STYLE, seed, 0, step))
+        action = varied_action(scene, State.of(there), generator(STYLE, seed, 0, step))
         if action is None:
             return steps
         after = carried(action, scene, there)
         moved = [name for name in after if after[name] is not there[name]]
-        steps.append(Done(action, None if moved else "missed-grasp", score.count(after)))
+        steps.append(Done(action, None if moved else "missed-grasp", score.count(State.of(after))))
         there = after
     raise AssertionError
 

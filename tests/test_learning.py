@@ -85,10 +85,6 @@ def test_learns_eight_attempts(overfitted, below):
     below("1 - confidence", max(1 - plan.confidence for plan in plans), 0.7)
 
 
-def test_a_trained_policy_keeps_the_contract(overfitted):
-    check_policy(load_policy(overfitted), ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
-
-
 def test_an_empty_table_is_one_clear_line(overfitted):
     empty = np.median([attempt.before.color for attempt in ATTEMPTS], axis=0).astype(np.uint8)
     with pytest.raises(BaggieError, match="no bag in sight"):

@@ -15,7 +15,8 @@ from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import Scale, TransporterPolicy
 from baggie.types import Observation, PickPlace, Plan
 from baggie.vision.carried import middle_of
-from test_carried import GRID, TABLE, after, drawn, shape
+from helpers.box_scenes import GRID, TABLE
+from helpers.outlines import after, drawn, shape
 
 PICK, PLACE = np.array([38.0, 40.0]), np.array([90.0, 85.0])
 SQUARE = shape(4, 8.0, 0.12, PICK)

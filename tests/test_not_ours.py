@@ -15,8 +15,8 @@ from baggie.errors import BaggieWarning, DataError
 from baggie.pictures import read_pictures, write_picture
 from baggie.ravens.format import RavensFolder, write_episode
 from baggie.report.report import gather
+from helpers.ravens_folder import FIELDS, NAME, make_episode
 from helpers.synthetic import TASK, make_attempt
-from test_ravens import FIELDS, NAME, make_episode
 
 SIZE = (64, 36)
 ATTEMPT = "attempts/chunk-000/attempt-000000.parquet"

@@ -24,33 +24,13 @@ from baggie.ravens.format import (
     RavensAction,
     RavensEpisode,
     RavensFolder,
-    RavensObject,
     RavensPose,
     planar_to_pose,
     pose_to_planar,
     write_episode,
 )
-
-FIELDS = ["action", "color", "depth", "info", "reward"]
-STILL = (0.0, 0.0, 0.0, 1.0)
-NAME = "000003-9007.pkl"
-
-
-def make_episode(number: int = 3, seed: int = 9007, steps: int = 1) -> RavensEpisode:
-    rng = np.random.default_rng(seed)
-    action = RavensAction(
-        RavensPose((0.5, 0.3, 0.04), STILL), planar_to_pose(PlanarPose(0.4, -0.1, 1.2), 0.05)
-    )
-    block = RavensObject((0.45, -0.12, 0.019), STILL, (0.04, 0.04, 0.04))
-    return RavensEpisode(
-        number,
-        seed,
-        color=rng.integers(0, 256, (steps + 1, 3, 480, 640, 3), np.uint8),
-        depth=rng.random((steps + 1, 3, 480, 640), np.float32),
-        actions=(action,) * steps,
-        rewards=np.array([0.0] + [1 / max(steps, 1)] * steps),
-        info=(None, *({5: block, 6: block} for _ in range(steps))),
-    )
+from helpers.ravens_folder import FIELDS, NAME, make_episode
+from helpers.ravens_scene import STILL
 
 
 def assert_same(a: RavensEpisode, b: RavensEpisode) -> None:

@@ -21,7 +21,7 @@ from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensFolder, RavensPose, write_episode
 from baggie.types import Attempt
 from helpers import ravens_scene
-from test_data import expect_same
+from helpers.same import expect_same
 
 SMALL = {"x": (0.35, 0.65), "y": (-0.25, 0.4), "pixel_m": 0.005}
 STEPS = len(ravens_scene.STARTS)

@@ -67,6 +67,15 @@ def test_those_of_other_packages_are_known_and_imported_late(install: Install) -
     assert registry["oval"].__module__ == "ovals"
 
 
+def test_a_source_is_read_and_nothing_is_imported(install: Install) -> None:
+    install("ovals", "class Egg: pass\n", oval="Egg")
+    (registry := shapes()).names()
+    assert registry.source_of("oval") == "class Egg: pass\n"
+    assert "class Fraction" in registry.source_of("square")
+    assert Registry[type]("baggie.shapes", {"deep": "no.such.module:Thing"}, "shape").source_of("deep") == ""
+    assert "ovals" not in sys.modules
+
+
 @pytest.mark.parametrize(
     ("source", "why"),
     [

@@ -4,87 +4,31 @@ import base64
 import json
 import re
 import shutil
-from dataclasses import replace
-from html.parser import HTMLParser
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 
-import test_evaluation_closed_loop as closed_loop
-import test_evaluation_validate as held_out
-from baggie.data import DatasetWriter
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation import validate as validation
-from baggie.evaluation.validate import validate
-from baggie.geometry import PlanarPose
-from baggie.options.evaluating import ReportOptions, ValidateOptions
+from baggie.options.evaluating import ReportOptions
 from baggie.report.report import report
 from baggie.results import provenance, write_json, write_results
-from helpers.synthetic import TASK, make_attempt
-from test_evaluation_closed_loop import evaluate_here
-from test_evaluation_validate import recording  # noqa: F401 -- a fixture
+from helpers import bag_evaluations as closed_loop
+from helpers.bag_evaluations import evaluate_here
+from helpers.reports import Page, fused, make_runs, record_with_a_wrong_pick, trained
 
 SECTIONS = ("video", "numbers", "closed-loop", "validation", "heat", "learning", "labels", "origin")
-VOID = {"meta", "img", "link", "br"}
 
 
-class Page(HTMLParser):
-    """Ids, sources and text of a page; fails on tags that are closed in another order than opened."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.ids, self.sources, self.words, self.open = [], [], [], []
-        self.feed(text)
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
-        self.ids += [values["id"]] if "id" in values else []
-        self.sources += [values[key] for key in ("src", "href") if key in values]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-
-def fused(*doubtful):
-    """What a training says of its labels; `doubtful` are (attempt, what, mm)."""
-    listed = [{"attempt_id": number, "what": what, "off_mm": off} for number, what, off in doubtful]
-    return {"pictures_with_two_opinions": 12, "systematic_mm": 1.26, "doubtful": listed}
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Not to be changed."""
+    return make_runs(tmp_path_factory.mktemp("made"))
 
 
 @pytest.fixture
-def runs(tmp_path, recording, monkeypatch):  # noqa: F811 -- a fixture
-    """A trained policy, validated and evaluated, and a baseline, evaluated."""
-    from torch.utils.tensorboard import SummaryWriter
-
-    run = tmp_path / "runs/keypoint"
-    run.mkdir(parents=True)
-    config = {"policy": "keypoint", "training": {"data": "x", "split": {"train": [0], "val": [4, 5, 6]}}}
-    (run / "config.yaml").write_text(yaml.safe_dump(config))
-    metrics = {"train_s": 187.0, "labels_fused": fused(), "provenance": provenance([0])}
-    write_json(run / "metrics.json", metrics)
-    with SummaryWriter(str(run)) as board:
-        for step in range(10):
-            board.add_scalar("train/loss", 1 / (1 + step), step)
-    monkeypatch.setattr(validation, "open_policy", lambda *_: held_out.FakePolicy(recording))
-    monkeypatch.setattr(held_out.FakePolicy, "name", "keypoint")
-    validate(ValidateOptions(str(run), recording, run / "validation"))
-    evaluate_here(closed_loop.options(run / "evaluation", policy=str(run)), closed_loop.open_perfect)
-    off = closed_loop.options(tmp_path / "runs/baseline", policy="oracle", film=0)
-    evaluate_here(off, closed_loop.open_off_by_25_mm)
-    return tmp_path / "runs"
+def runs(made, tmp_path):
+    return shutil.copytree(made, tmp_path / "runs")
 
 
 def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
@@ -101,7 +45,7 @@ def test_the_page_has_every_section_and_needs_nothing_else(tmp_path, runs):
     assert base64.b64decode(videos[0].split(",")[1]) == next(runs.rglob("*.mp4")).read_bytes()
     words = " ".join(page.words)
     assert "Bags & <goals>" in words
-    assert "5 of 5 bags to within 2 cm" in words  # the policy's
+    assert "5 of 5 things to within 2 cm" in words  # the policy's
     assert "0 of 5 (0 to 43%)" in words  # the baseline's
     assert "0.50 cm" in words  # the pick error of the fake policy
     assert "off-goal" in words
@@ -119,7 +63,7 @@ def test_a_policy_is_shown_under_each_test_it_was_put_to(tmp_path, runs):
     assert "keypoint, unseen, turned goals" in words
     assert "Plans against the truth" in words
     assert "2.50 cm" in words  # its place error
-    assert "5 of 5 bags to within 2 cm" in words  # the plain closed loop is still what the page is about
+    assert "5 of 5 things to within 2 cm" in words  # the plain closed loop is still what the page is about
     assert "pick and place inside their radius" in words
     assert "100% and 100%" in words  # of the validated policy: 5 mm of 6, 6 to 8 mm of 10.5
 
@@ -148,27 +92,6 @@ def test_two_runs_of_one_policy_are_told_apart(tmp_path, runs):
     words = " ".join(Page(report(ReportOptions((runs,), tmp_path / "r.html")).read_text()).words)
     assert "keypoint (first)" in words
     assert "keypoint (keypoint)" in words  # evaluated under its name of then
-
-
-def record_with_a_wrong_pick(folder, wrong, off_m):
-    rng = np.random.default_rng(0)
-    settings = {"task": TASK, "picture_size": held_out.SIZE, "collection": {}}
-    with DatasetWriter(folder, robot_type="drawn", **settings) as writer:
-        for attempt_id in range(12):
-            attempt = make_attempt(attempt_id, rng, held_out.SIZE, depth=False)
-            if attempt_id == wrong:
-                executed = attempt.outcome.executed
-                pick = PlanarPose(executed.pick.x, executed.pick.y + off_m, executed.pick.yaw)
-                outcome = replace(attempt.outcome, executed=replace(executed, pick=pick))
-                attempt = replace(attempt, outcome=outcome)
-            writer.append(attempt)
-
-
-def trained(folder, data, labels):
-    folder.mkdir(parents=True)
-    config = {"policy": folder.name, "training": {"data": str(data), "split": {"train": [], "val": []}}}
-    (folder / "config.yaml").write_text(yaml.safe_dump(config))
-    write_json(folder / "metrics.json", {"labels_fused": labels})
 
 
 def cross_in(uri):

@@ -12,7 +12,7 @@ import pytest
 
 from baggie.options.evaluating import ReportOptions
 from baggie.report.report import report
-from test_report import fused, record_with_a_wrong_pick, recording, runs, trained  # noqa: F401
+from helpers.reports import fused, make_runs, record_with_a_wrong_pick, trained
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: sudo apt-get install chromium")
@@ -86,7 +86,8 @@ def opened(page):
     return seen, [line for line in said.splitlines() if "CONSOLE" in line]
 
 
-def test_everything_is_there_on_a_desk_and_on_a_telephone(tmp_path, runs):  # noqa: F811
+def test_everything_is_there_on_a_desk_and_on_a_telephone(tmp_path):
+    runs = make_runs(tmp_path)
     record_with_a_wrong_pick(tmp_path / "bags", wrong=5, off_m=0.03)
     trained(runs / "doubted", tmp_path / "bags", fused((5, "pick", 29.96), (7, "place", 9.04)))
     seen, said = opened(report(ReportOptions((runs,), tmp_path / "report.html")))

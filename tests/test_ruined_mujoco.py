@@ -19,8 +19,8 @@ from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.sim.bag import Bag
 from baggie.sim.cell import draw_cell
 from baggie.sim.scene import arm_spec, build_model
+from helpers.recorded_bags import SIZE, record
 from helpers.synthetic import RED, image_to_robot
-from test_evaluation_validate import SIZE, record
 
 SOURCE = Path(baggie.__file__).parents[1]
 RUN = """

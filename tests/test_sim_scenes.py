@@ -166,10 +166,10 @@ def test_settings_arm_and_outline_follow_the_bag_at_hand(unseen: SimulatedWorkce
         assert settings.object_color == bag.color
         assert settings.object_size_m == bag.size_m
         assert settings.object_symmetry == bag.symmetry
-        assert all(unseen.truth().distance(thing) >= 0.16 for thing in unseen.obstacles())
+        assert all(unseen.truth().distance(thing) >= 0.16 for thing in unseen.state().obstacles)
         found = find_bag(unseen.look().color, bag.color)
         assert found is not None
-        corners = unseen.goal_corners(unseen.truth())
+        corners = unseen.outline(unseen.truth())
         assert np.linalg.norm(found.center - corners.mean(axis=0)) < 4.0
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
         filled = found.area_px / (sides[0] * sides[1])
@@ -180,10 +180,14 @@ def test_settings_arm_and_outline_follow_the_bag_at_hand(unseen: SimulatedWorkce
     assert unseen.arm.pose().z == pytest.approx(0.3, abs=0.003)
 
 
+def second_of(cell: SimulatedWorkcell) -> PlanarPose:
+    (second,) = cell.scene.staying
+    return cell.state().places[second]
+
+
 def test_a_lost_bag_is_laid_back_clear_of_the_second(two_bags: SimulatedWorkcell) -> None:
     two_bags.reset((1,))
-    second = two_bags.second_truth()
-    assert second is not None
+    second = second_of(two_bags)
     assert two_bags.truth().distance(second) > 0.175  # laid 18 cm apart, and settled
     two_bags.world.bodies["bag"].put(PlanarPose(0.0, 0.6), height_m=0.1, undented=True)
     assert two_bags.rescue()
@@ -200,19 +204,17 @@ def test_laid_as_new_a_bag_leaves_the_other_its_dents(two_bags: SimulatedWorkcel
 
 def test_the_second_bag_stays_when_the_first_is_moved(two_bags: SimulatedWorkcell) -> None:
     two_bags.reset((3,))
-    start, second = two_bags.truth(), two_bags.second_truth()
-    assert second is not None
+    start, second = two_bags.truth(), second_of(two_bags)
     places = [PlanarPose(x, y) for x in (0.4, 0.5, 0.6) for y in (-0.2, 0.0, 0.2)]
     goal = max(places, key=lambda pose: min(pose.distance(second), pose.distance(start)))
     pick = PlanarPose(start.x, start.y, wrap_angle(start.yaw, np.pi / 2))
     assert two_bags.execute(PickPlace(pick, goal)).success
     assert two_bags.truth().distance(goal) < 0.03
-    now = two_bags.second_truth()
-    assert now is not None
+    now = second_of(two_bags)
     assert now.distance(second) < 0.003
     seen = find_bag(two_bags.look().color, two_bags.world.things["bag"].color)
     assert seen is not None
-    middle = two_bags.goal_corners(two_bags.truth()).mean(axis=0)
+    middle = two_bags.outline(two_bags.truth()).mean(axis=0)
     assert np.linalg.norm(seen.center - middle) < 6.0  # of the two, the one to be moved
 
 

@@ -28,8 +28,8 @@ from baggie.sim.sensor import Exposure
 from baggie.vision.pattern import pattern
 from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_target
 from baggie.workcell.simulated import SimulatedWorkcell
+from baggie.workcell.workcell import WorkcellSettings
 from helpers.recording_arm import RecordingArm
-from test_workcell import SETTINGS
 
 CHESSBOARD = Chessboard(7, 4, 0.035)
 CHARUCO = Charuco(7, 5, 0.03, 0.021, "DICT_4X4_50")
@@ -235,7 +235,8 @@ def test_where_the_arm_cannot_be_led_it_is_left_alone(clear: SimulatedWorkcell) 
 
 def test_an_arm_that_cannot_be_led_points_straight_down() -> None:
     arm = RecordingArm()
-    np.testing.assert_array_equal(GuardedArm(arm, SETTINGS.limits).hand_pose(), hand_matrix(arm.pose()))
+    led = GuardedArm(arm, WorkcellSettings().limits)
+    np.testing.assert_array_equal(led.hand_pose(), hand_matrix(arm.pose()))
 
 
 # -- bumps ----------------------------------------------------------------------------------------------------------

@@ -13,17 +13,17 @@ from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
 from baggie.sim.blocks import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
 from baggie.tasks import demonstrator as module
+from baggie.tasks.conditions import State, remaining
 from baggie.tasks.demonstrator import (
     STRAY_M,
     WASTED,
     cup_rests,
     next_action,
     pick_point,
-    remaining,
     varied_action,
 )
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import Score, all_filled
+from baggie.tasks.scoring import Score, all_hold
 from baggie.tasks.task import Task
 from helpers.ideal_arm import away, carried, poses_of
 
@@ -43,7 +43,7 @@ DISC = np.concatenate(
 def rightly(scene, poses, rng):
     """What is shown where no step is wasted."""
     with patch.object(module, "WASTED", 0.0):
-        return varied_action(scene, poses, rng)
+        return varied_action(scene, State.of(poses), rng)
 
 
 @settings(max_examples=40, deadline=None)
@@ -68,9 +68,9 @@ def test_the_cup_lies_wholly_on_what_is_picked_and_the_thing_ends_in_its_slot(ta
         if left.stage.symmetry:
             turn = 2 * np.pi / left.stage.symmetry
             assert wrap_angle(ends.yaw - slot.yaw, turn) == pytest.approx(0.0, abs=1e-9)
-        assert score.count(poses) > 0.0
+        assert score.count(State.of(poses)) > 0.0
     assert score.done
-    assert all_filled(scene.conditions, poses)
+    assert all_hold(scene.conditions, State.of(poses))
 
 
 @pytest.mark.parametrize("task", BLOCK_TASKS, ids=lambda task: task.name)
@@ -130,11 +130,11 @@ def test_a_step_is_wasted_now_and_then_on_the_bare_table_or_by_putting_a_thing_a
     poses, kinds = poses_of(scene), Counter()
     things = (*scene.blocks, *scene.fixtures)
     for seed in range(1500):
-        action = varied_action(scene, poses, generator(STYLE, 0, seed, 0))
+        action = varied_action(scene, State.of(poses), generator(STYLE, 0, seed, 0))
         score = Score(scene.conditions)
         after = carried(action, scene, poses)
         moved = [name for name in after if after[name] is not poses[name]]
-        if score.count(after) > 0.0:
+        if score.count(State.of(after)) > 0.0:
             kinds["right"] += 1
         elif moved:
             kinds["aside"] += 1
@@ -164,9 +164,9 @@ def test_whatever_is_wasted_whoever_shows_it_goes_on_to_the_end(task: Task, seed
     poses = poses_of(scene)
     with patch.object(module, "WASTED", 0.5):
         for step in range(100):
-            action = varied_action(scene, poses, generator(STYLE, seed, 0, step))
+            action = varied_action(scene, State.of(poses), generator(STYLE, seed, 0, step))
             if action is None:
                 break
             poses = carried(action, scene, poses)
-    assert all_filled(scene.conditions, poses)
-    assert next_action(scene.conditions, poses) is None
+    assert all_hold(scene.conditions, State.of(poses))
+    assert next_action(scene.conditions, State.of(poses)) is None

@@ -10,6 +10,8 @@ import pkgutil
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
+from importlib.abc import InspectLoader
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -55,6 +57,18 @@ class Registry(Generic[T]):
                 f"expected {article} {self._noun} among {', '.join(self.names())}, got {name!r}"
             )
         return self._found[name]
+
+    def source_of(self, name: str) -> str:
+        """The source of the module that holds it, empty where there is none to be found; nothing is imported."""
+        where = self._own[name] if name in self._own else self._others[name].value
+        module, path, source = "", None, ""
+        for part in where.partition(":")[0].split("."):
+            module = f"{module}.{part}".removeprefix(".")
+            found = PathFinder.find_spec(module, path)
+            if found is None or not isinstance(found.loader, InspectLoader):
+                return ""
+            source, path = found.loader.get_source(module) or "", found.submodule_search_locations
+        return source
 
     def all(self) -> dict[str, T]:
         """All that can be imported, by name."""

@@ -12,7 +12,7 @@ from baggie.types import Attempt, Observation, Outcome, PickPlace
 GRID = Grid(x=(0.25, 0.65), y=(-0.2, 0.2), pixel_m=0.003125)
 """128 x 128 pixels."""
 BOX_M = 0.04
-_TABLE, _BOX, _OTHER, _SLOT, _MARK = (
+TABLE, _BOX, _OTHER, _SLOT, _MARK = (
     (120, 105, 90),
     (200, 60, 50),
     (60, 90, 200),
@@ -30,7 +30,7 @@ def box_scene(
     yellow mark at one side, which must come to lie on each other.
     """
     rows, columns = grid.shape
-    color = np.full((rows, columns, 3), _TABLE, np.uint8)
+    color = np.full((rows, columns, 3), TABLE, np.uint8)
     height = np.zeros((rows, columns), np.float32)
     places = _apart(rng, 3, columns, rows)
     yaws = rng.uniform(-np.pi, np.pi, 3)

@@ -16,8 +16,11 @@ from baggie import seeds
 from baggie.errors import ArmError, LimitError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, ToolPose
 from baggie.robot.arm import ArmInfo
+from baggie.sim.bag import Bag
+from baggie.tasks.conditions import State
+from baggie.tasks.task import Scene
 from baggie.types import Image, Intrinsics, Observation, Outcome, PickPlace
-from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
+from baggie.workcell.workcell import Calibrations, Watch, Workcell, WorkcellSettings
 
 SIZE = (640, 360)
 PARKED = ToolPose(0.2, -0.5, 0.4)
@@ -124,7 +127,7 @@ class FakeArm:
 
 
 @dataclass
-class FakeCell:
+class FakeCell(Workcell):
     """`script` holds what goes wrong in the next executions, first come first served; None is for nothing.
 
     It knows "missed-grasp", "dropped", "lost-bag", "unreachable", "stalled" (says success, moves nothing).
@@ -132,6 +135,7 @@ class FakeCell:
 
     settings: WorkcellSettings = field(default_factory=WorkcellSettings)
     repeatable: bool = True
+    scene: Scene | None = field(default_factory=lambda: Scene((Bag(),), {}))
     scatter_m: float = 0.003
     script: list[str | None] = field(default_factory=list)
     miss_rate: float = 0.0
@@ -171,8 +175,8 @@ class FakeCell:
     def clock(self) -> float:
         return self.time
 
-    def truth(self) -> PlanarPose:
-        return self.bag
+    def state(self) -> State | None:
+        return State({}, {"bag": self.bag})
 
     def rescue(self) -> bool:
         self.rescues += 1

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import shlex
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args
 
+import tyro
 from annotated_types import Interval
 from tyro.conf import Positional
 
@@ -16,17 +19,34 @@ from baggie.options.ranges import Bounds, Count, NotNegative, Options, Positive,
 from baggie.registry import TASKS
 
 
+def task_help() -> str:
+    """What the help of `--task` says: every task's name and instruction."""
+    lines = (f"{name}: {_instruction(name)}".removesuffix(": ") for name in TASKS.names())
+    return "\n".join(("What is on the table and what counts as done.", *lines))
+
+
+def _instruction(task: str) -> str:
+    """The instruction as it stands in the task's source, as help must come at once; empty where it does not."""
+    with suppress(ImportError, SyntaxError):  # somebody else's broken file is told of where it is imported
+        for node in ast.walk(ast.parse(TASKS.source_of(task))):
+            given = {each.arg: each.value for each in node.keywords} if isinstance(node, ast.Call) else {}
+            match given.get("name"), given.get("instruction"):
+                case ast.Constant(value=name), ast.Constant(value=str(instruction)) if name == task:
+                    return instruction
+    return ""
+
+
+TaskName = Annotated[str, tyro.conf.arg(help=task_help())]
+
+
 @dataclass(frozen=True)
 class CollectOptions(Options):
     """What to collect, and where to."""
 
     out: Path
     """Folder of the recording. The same command again goes on where it stopped."""
-    task: str = USUAL_TASK
-    """What is on the table and what counts as done: bag-place, where the robot shows itself how; or one with blocks,
-    which a script that knows where everything is demonstrates: block-pyramid, place-red-in-green, align-box-corner,
-    block-insertion.
-    """
+    task: TaskName = USUAL_TASK
+    """What is on the table and what counts as done."""
     attempts: Count = 300
     """How many there are to be in the end, failed ones included; with blocks, whole demonstrations."""
     seed: Seed = 0

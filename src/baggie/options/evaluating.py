@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from baggie.errors import UsageError
 from baggie.options.choices import COLOR_MASK, ORACLE, USUAL_TASK, GoalKind, Scenery
+from baggie.options.collecting import TaskName
 from baggie.options.ranges import Count, Number, Options, Positive, Seed, Workers
 from baggie.registry import TASKS
 
@@ -45,10 +46,8 @@ class EvaluateOptions(Options):
     """A training run's folder, a Hub id, `color-mask` (bags only), or `oracle`, which reads the simulator's truth."""
     out: Path
     """Where metrics.json, the log of episodes, pictures and videos go."""
-    task: str = USUAL_TASK
-    """What to do: bag-place; or one with blocks, which takes several steps and a policy that looks at height maps:
-    block-pyramid, place-red-in-green, align-box-corner, block-insertion.
-    """
+    task: TaskName = USUAL_TASK
+    """What is on the table and what counts as done."""
     episodes: Count = 100
     """How many scenes."""
     seed: Seed = 0

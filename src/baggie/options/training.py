@@ -43,8 +43,7 @@ class TrainOptions(Options):
     seed: Seed = 0
     """Of the first weights and of all batches."""
     steps: Count | None = None
-    """Batches to learn from; by default 800 of 8 for keypoint, 10,000 of 1 for regression, 3,600 of 4 for
-    transporter."""
+    """Batches to learn from."""
     device: Literal["auto", "cpu", "cuda", "mps"] = "auto"
     """Where to compute; `auto` takes the best there is. Several GPUs: `accelerate launch -m baggie train
     ...`.
@@ -65,6 +64,8 @@ class KeypointTraining(TrainOptions):
 
     recipe = "baggie.learning.keypoint:KeypointRecipe"
 
+    steps: Count | None = None
+    """Batches of 8 to learn from; by default 800."""
     goal_input: Literal["region", "painted"] = "region"
     """Whether a goal is a channel of its own, or is painted into the picture as it is for regression."""
     goal_style: DrawnStyle = "solid"
@@ -102,6 +103,8 @@ class RegressionTraining(TrainOptions):
 
     recipe = "baggie.learning.regression:RegressionRecipe"
 
+    steps: Count | None = None
+    """Batches of 1 to learn from; by default 10,000, as published."""
     goal_style: DrawnStyle = "solid"
     """How goals are painted into pictures."""
     goal_color: Color = (0, 200, 0)
@@ -123,6 +126,8 @@ class TransporterTraining(TrainOptions):
 
     recipe = "baggie.learning.transporter:TransporterRecipe"
 
+    steps: Count | None = None
+    """Batches to learn from; by default 3,600 of 4 for fast, 10,000 of 1 for paper."""
     goal_style: DrawnStyle = "solid"
     """How goals are painted into pictures."""
     goal_color: Color = (0, 200, 0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,14 +25,19 @@ class Setting:
 
     things: tuple[Thing, ...]
     """The task's own, or what a workcell's file says of them."""
-    cell: Cell = field(default_factory=lambda: draw_cell(0))
-    """The workcell as it is from day to day."""
+    given_cell: Cell | None = None
+    """The workcell as it is from day to day; None for cell 0."""
     workspace: Rectangle = WORKSPACE
     """Where things may be picked and placed; robot base frame, metres."""
     scenery: Scenery = "plain"
     """How much of the scene varies."""
     seed: tuple[int, ...] = (0,)
     """The integers that name the scene."""
+
+    @cached_property
+    def cell(self) -> Cell:
+        """The workcell as it is from day to day; cell 0 is drawn only for a task that looks at it."""
+        return draw_cell(0) if self.given_cell is None else self.given_cell
 
 
 @dataclass(frozen=True)
