@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from baggie.collect.demonstrations import missing_demonstrations
 
 from baggie.collect import CollectOptions, collect
+from baggie.collect.scripted import missing_demonstrations
 from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.choices_of_scene import choices_of_scene

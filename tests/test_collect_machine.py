@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from baggie.collect.sitting import STALL_AFTER, Recording, run_sitting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import machine
 from baggie.collect import machine as detect
+from baggie.collect.demonstrator import Recording
 from baggie.collect.machine import (
     MARGIN_M,
     MAX_LOOKS,
@@ -30,6 +30,7 @@ from baggie.collect.machine import (
     random_place,
     run_turn,
 )
+from baggie.collect.self_taught import STALL_AFTER, run_sitting
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle

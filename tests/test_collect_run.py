@@ -13,20 +13,21 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import baggie.collect.sitting as help_module
 import numpy as np
 import pytest
-from baggie.collect.sitting import Awaited, Recording
-from baggie.collect.summary import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 
+import baggie.collect.patience as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.cell import what_opens
-from baggie.collect.collect import COVERAGE_FILE, _open_worker, collect, missing_sittings
+from baggie.collect.collect import collect
+from baggie.collect.demonstrator import Recording
 from baggie.collect.machine import helped
+from baggie.collect.patience import Awaited
+from baggie.collect.self_taught import COVERAGE_FILE, _open_worker, coverage, missing_sittings
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
@@ -440,7 +441,7 @@ def test_what_cannot_be_repeated_goes_on_where_it_stopped(reference):
     sit = _open_worker(
         lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
     )
-    assert [attempt.attempt_id for attempt in sit((17, 18, 19))] == [17, 18, 19]
+    assert [attempt.attempt_id for (attempt,) in sit((17, 18, 19))] == [17, 18, 19]
     assert len(cell.script) == 2  # nothing was done over again
 
 
@@ -453,9 +454,9 @@ def test_an_attempt_says_how_often_a_turn_its_object_looks_the_same(reference, s
     sit = _open_worker(
         lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
     )
-    first = next(iter(sit((0, 1))))
+    (first,) = next(iter(sit((0, 1))))
     cell.settings = replace(cell.settings, object_symmetry=symmetry)  # as another scene may
-    second = next(iter(sit((0, 1))))
+    (second,) = next(iter(sit((0, 1))))
     assert (first.object_symmetry, second.object_symmetry) == (4, symmetry)
 
 
@@ -468,7 +469,7 @@ def test_a_sitting_that_goes_on_does_not_carry_to_the_same_places_again(referenc
     sit = _open_worker(
         lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
     )
-    places = [next(iter(sit(tuple(range(first, 10))))).commanded.place for first in range(10)]
+    places = [next(iter(sit(tuple(range(first, 10)))))[0].commanded.place for first in range(10)]
     assert len({(place.x, place.y) for place in places}) == 10
 
 
@@ -476,12 +477,12 @@ def test_where_nobody_knows_the_truth_none_is_recorded(reference, monkeypatch):
     from baggie.policies import load_policy
 
     cell = open_fake()
-    monkeypatch.setattr(cell, "truth", lambda: None)
+    monkeypatch.setattr(cell, "state", lambda: None)
     image_to_robot = load_policy(reference / "calibration").image_to_robot
     sit = _open_worker(
         lambda _number: cell, image_to_robot, Recording("task", 3, 0, (640, 360)), None, Nobody()
     )
-    (attempt,) = sit((0,))
+    ((attempt,),) = sit((0,))
     assert attempt.outcome.success
     assert attempt.truth is None
 

@@ -236,8 +236,10 @@ def test_the_simulated_oracle_does_a_task(tmp_path):
     metrics = evaluate_here(options(tmp_path, task="place-red-in-green", episodes=1))
     assert metrics["success"]["rate"] == metrics["ravens_success"]["rate"] == 1.0
     (record,) = timeless(tmp_path)
-    assert sum(step["reward"] for step in record["steps"]) == pytest.approx(record["partial_credit"])
-    assert record["partial_credit"] == 1.0
+    assert sum(step["reward"] for step in record["steps"]) == pytest.approx(
+        record["credit"]["partial_credit"]
+    )
+    assert record["credit"]["partial_credit"] == 1.0
 
 
 def test_records_come_back_as_they_were_logged_and_another_version_is_refused(tmp_path):
@@ -277,7 +279,9 @@ def test_another_task_in_the_same_folder_is_refused(tmp_path):
 
 def test_the_page_shows_success_failures_and_every_step(tmp_path):
     evaluate_here(options(tmp_path / "runs/good", film=1), open_right)
-    evaluate_here(options(tmp_path / "runs/bad", episodes=2, seed=1, task="align-box-corner"), open_toppling)
+    evaluate_here(
+        options(tmp_path / "runs/bad", episodes=2, seed=1, task="place-red-in-green"), open_toppling
+    )
     text = report(ReportOptions((tmp_path / "runs",), tmp_path / "r.html")).read_text()
     assert "http" not in text
     page = Page(text)
@@ -288,7 +292,7 @@ def test_the_page_shows_success_failures_and_every_step(tmp_path):
     assert "4 of 4 (51 to 100%)" in words
     assert "0 of 2" in words
     assert "ravens-only" in words
-    assert {"oracle, block-pyramid", "oracle, align-box-corner"} <= set(page.words)
+    assert {"oracle, block-pyramid", "oracle, place-red-in-green"} <= set(page.words)
     # Of the first policy: the start, the end and each step of three episodes.
     shown = [word for word in page.words if word in ("start", "end") or word.startswith("step ")]
     pictures = [source for source in page.sources if source.startswith("data:image")]

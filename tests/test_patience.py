@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import pytest
-from baggie.collect.sitting import PAUSES_S, Patience
 from hypothesis import given
 from hypothesis import strategies as st
 
+from baggie.collect.patience import PAUSES_S, Patience
 from baggie.errors import ArmError, BaggieError, BumpedError, CameraError, DataError, ReachError, StuckError
 from baggie.operator import Line
 from helpers.scripted import Scripted

@@ -65,8 +65,8 @@ def test_the_cup_lies_wholly_on_what_is_picked_and_the_thing_ends_in_its_slot(ta
         ends, slots = planar_pose(poses[name]), [planar_pose(slot.T_base_slot(poses)) for slot in left.slots]
         slot = min(slots, key=ends.distance)
         assert ends.distance(slot) < 1e-9
-        if left.stage.symmetry:
-            turn = 2 * np.pi / left.stage.symmetry
+        if left.condition.symmetry:
+            turn = 2 * np.pi / left.condition.symmetry
             assert wrap_angle(ends.yaw - slot.yaw, turn) == pytest.approx(0.0, abs=1e-9)
         assert score.count(State.of(poses)) > 0.0
     assert score.done
