@@ -29,6 +29,7 @@ add_module_names = False
 python_use_unqualified_type_names = True
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {"TaskName": "str"}  # what it says to the command line is no part of the type
 autodoc_default_options = {"members": True}
 nitpick_ignore_regex = [  # types in signatures: of other packages, or of what has no page
     ("py:class", ".*"),

@@ -334,7 +334,7 @@ def test_a_person_who_leaves_the_terminal_stops_it(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())  # Ctrl-D
     options = CollectOptions(out=tmp_path, attempts=13, seed=3, workers=1)
     with pytest.raises(BaggieError, match="not in sight"):
-        collect(options, open_unhelped)
+        collect_here(options, open_unhelped)
 
 
 def test_without_a_terminal_it_waits_as_long_as_told(tmp_path, monkeypatch, capsys):
@@ -343,10 +343,10 @@ def test_without_a_terminal_it_waits_as_long_as_told(tmp_path, monkeypatch, caps
     monkeypatch.setattr(help_module, "LOOK_AGAIN_S", 0.01)
     options = CollectOptions(out=tmp_path / "data", attempts=13, seed=3, workers=1, wait=0.002)
     with pytest.raises(BaggieError, match=r"^collecting stopped: .* the same command goes on$"):
-        collect(options, open_unhelped)
+        collect_here(options, open_unhelped)
     assert "Waiting 0.002 minutes" in capsys.readouterr().err
     laid_back.touch()
-    assert collect(options, open_unhelped)["attempts"] == 13
+    assert collect_here(options, open_unhelped)["attempts"] == 13
 
 
 @given(st.integers(0, 600), st.lists(st.integers(1, 40), min_size=100, max_size=100))

@@ -117,13 +117,14 @@ def test_its_camera_keeps_the_contract_of_cameras_and_shows_the_scene_now(
     cell: Workcell, control: LabControl
 ) -> None:
     check_camera(cell.camera)
+    lies = np.array([[0.5, y, 0.02] for y in (0.0, 0.15, -0.15)])
     centers = []
-    for y in (0.0, 0.15, -0.15):
-        control.lay_bag(PlanarPose(0.5, y, 0.0))
+    for x, y, _ in lies:
+        control.lay_bag(PlanarPose(x, y, 0.0))
         found = find_bag(cell.camera.look().color, cell.settings.object_color)
         assert found is not None
         centers.append(found.center)
-    assert np.abs(np.diff(centers, axis=0)).max(axis=1) == pytest.approx([120, 240], rel=0.5)
+    assert np.array(centers) == pytest.approx(draw_cell(0, cell.camera.size).project(lies), abs=3)
 
 
 def test_a_block_is_laid_where_nothing_lies_and_taken_away(cell: Workcell, control: LabControl) -> None:

@@ -96,16 +96,33 @@ def test_nothing_but_the_bag_is_new_about_an_unseen_bag(seed: int) -> None:
     assert replace(scene, bag=plain.bag) == plain
 
 
+def is_grey(color: tuple[int, int, int]) -> bool:
+    return max(color) - min(color) <= 0.1 * max(color)
+
+
 @given(st.sampled_from(["varied", "unseen"]), seeds)
 def test_no_distractor_has_a_colour_that_means_something(scenery: Scenery, seed: int) -> None:
     scene = drawn(scenery, seed)
     for thing in scene.distractors:
         for color in (thing.color, thing.accent):
-            if max(color) - min(color) <= 0.1 * max(color):  # grey
+            if is_grey(color):
                 continue
             assert hue_distance(hue_of(color), hue_of(scene.bag.color)) > APART - 3
             assert hue_distance(hue_of(color), GOAL_CARD_HUE) > 30
             assert hue_distance(hue_of(color), PADDLE_HUE) > 30
+
+
+@pytest.mark.parametrize("scenery", ["varied", "unseen"])
+def test_most_scenes_have_distractors_of_a_colour(scenery: Scenery) -> None:
+    coloured = [
+        any(
+            not is_grey(color)
+            for thing in drawn(scenery, seed).distractors
+            for color in (thing.color, thing.accent)
+        )
+        for seed in range(40)
+    ]
+    assert sum(coloured) > 20
 
 
 @given(st.sampled_from(["varied", "unseen"]), seeds)
