@@ -20,9 +20,9 @@ from baggie.report.items import (
 MAX_EPISODES = 3
 """Shown step by step: those with the least done."""
 _ABOUT = (
-    "Look, plan, move, until the task is done or its steps are used up; every scene is new. Strict success wants everything "
-    "as the task asks (a block upright and at its height in a slot of its own), still so two seconds later; Ravens' own "
-    "success knows neither heights nor what falls later."
+    "Look, plan, move, until the task is done or its steps are used up; every scene is new. Strict success wants all "
+    "as the task asks (a block upright and at its height in a slot of its own), still so two seconds later; Ravens' "
+    "own success knows neither heights nor what falls later."
 )
 
 
