@@ -46,7 +46,7 @@ from baggie.errors import BaggieError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, invert_transform, rigid, transform_points
 from baggie.operator import Nobody, Operator
-from baggie.options.calibrating import (
+from baggie.options.commissioning import (
     CameraToWorldOptions,
     HandEyeOptions,
     ImageToRobotOptions,
@@ -54,7 +54,7 @@ from baggie.options.calibrating import (
     LiveOptions,
     RobotToWorldOptions,
 )
-from baggie.options.choices import BOARD, HAND_BOARD
+from baggie.options.values import BOARD, HAND_BOARD
 from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.sim.cell import Cell, draw_cell

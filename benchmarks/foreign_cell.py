@@ -32,8 +32,8 @@ from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.episode import Episode
 from baggie.evaluation.log import read_log
-from baggie.options.choices import HAND_MARKER
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import DoctorOptions
+from baggie.options.values import HAND_MARKER
 from baggie.pictures import read_picture, write_picture
 from baggie.results import provenance, write_json, write_results
 from baggie.robot.contract import check_arm

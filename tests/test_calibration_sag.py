@@ -27,7 +27,7 @@ from baggie.commissioning.printed import points_to_touch
 from baggie.commissioning.robot_to_world import calibrate_camera_to_world, calibrate_robot_to_world_live
 from baggie.errors import DataError
 from baggie.geometry import difference, from_vector, invert_transform, rigid, transform_points
-from baggie.options.calibrating import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
+from baggie.options.commissioning import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
 from baggie.vision.targets import Seen, parse_target, with_sag

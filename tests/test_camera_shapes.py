@@ -22,9 +22,9 @@ from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.validate import validate
 from baggie.learning import KeypointTraining, train
 from baggie.options.collecting import CollectOptions
+from baggie.options.commissioning import LabOptions
 from baggie.options.evaluating import EvaluateOptions, ExportOptions, ReportOptions, ValidateOptions
 from baggie.options.training import TRAININGS
-from baggie.options.workcells import LabOptions
 from baggie.pictures import LONGEST_RECORDED, recorded_size, same_shape, write_picture
 from baggie.policies import checkpoint, load_policy
 from baggie.policies.export import export

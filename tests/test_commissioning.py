@@ -30,8 +30,8 @@ from baggie.commissioning.printed import NAMED, T_world_target, points_to_touch
 from baggie.commissioning.session import ViewFolder, open_bench
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import difference, invert_transform, transform_points
-from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
-from baggie.options.choices import BOARD, HAND_MARKER
+from baggie.options.commissioning import CheckOptions, ImageToRobotOptions
+from baggie.options.values import BOARD, HAND_MARKER
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell

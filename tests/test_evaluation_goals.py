@@ -21,8 +21,8 @@ from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_log
 from baggie.evaluation.setup import Bench, card_map
 from baggie.geometry import PlanarPose, Rectangle
-from baggie.options.choices import CARD_COLOR
 from baggie.options.evaluating import EvaluateOptions
+from baggie.options.values import CARD_COLOR
 from baggie.policies.oracle import OraclePolicy
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal

@@ -36,8 +36,7 @@ from baggie.errors import ArmError, BaggieError, CameraError, ReachError, StuckE
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.lab.robot import TICKS_PER_STEP, LabRobot, Trail, pose_difference
 from baggie.lab.web import LabControl
-from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import CheckOptions, DoctorOptions, ImageToRobotOptions
 from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
 from baggie.sim.world import World

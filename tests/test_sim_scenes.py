@@ -12,7 +12,7 @@ import pytest
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.sim.bag import Bag, cloth, pillow
 from baggie.sim.cell import draw_cell
 from baggie.sim.clutter import Distractor

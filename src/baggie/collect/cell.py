@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.options.choices import USUAL_TASK, CollectedScenery
 from baggie.options.collecting import CollectOptions
+from baggie.options.values import USUAL_TASK, CollectedScenery
 from baggie.registry import TASKS
 from baggie.robot.arm import Arm
 from baggie.types import Observation, Outcome, PickPlace

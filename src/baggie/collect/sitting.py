@@ -25,7 +25,7 @@ from baggie.data.record import fit, without_depth
 from baggie.errors import ArmError, CameraError, NobodyError, ReachError, StuckError
 from baggie.geometry import FloatArray
 from baggie.operator import Answer, Event, Line, Operator, Question
-from baggie.options.choices import CollectedStyle
+from baggie.options.values import CollectedStyle
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
 

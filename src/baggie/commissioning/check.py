@@ -19,7 +19,7 @@ from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
 from baggie.operator import Operator
-from baggie.options.calibrating import CheckOptions
+from baggie.options.commissioning import CheckOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import Marker, parse_target
 from baggie.workcell.workcell import Watch, WorkcellSettings

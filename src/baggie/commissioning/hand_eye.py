@@ -21,7 +21,7 @@ from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
 from baggie.operator import Operator
-from baggie.options.calibrating import HandEyeOptions
+from baggie.options.commissioning import HandEyeOptions
 from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
 from baggie.vision.corners import FLAT

@@ -25,7 +25,7 @@ from baggie.commissioning.assistant import Helper
 from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, rotation
-from baggie.options.choices import HAND_MARKER
+from baggie.options.values import HAND_MARKER
 from baggie.robot.contract import MIN_HEIGHT_M, check_tool_x, highest_m, touch_firm
 from baggie.types import Image
 from baggie.vision.targets import Marker, parse_target

@@ -24,8 +24,8 @@ from baggie.errors import BaggieError, CalibrationError, DataError, LimitError, 
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, ToolPose, hand_matrix, transform_points
 from baggie.operator import Operator, progress
-from baggie.options.calibrating import ImageToRobotOptions
-from baggie.options.ranges import Point
+from baggie.options.commissioning import ImageToRobotOptions
+from baggie.options.values import Point
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.arm import Arm, hand_pose
 from baggie.robot.limits import Limits

@@ -21,7 +21,7 @@ from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
 from baggie.operator import Operator
-from baggie.options.calibrating import IntrinsicsOptions
+from baggie.options.commissioning import IntrinsicsOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import parse_target
 

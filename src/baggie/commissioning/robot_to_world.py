@@ -21,7 +21,7 @@ from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import transform_points
 from baggie.operator import Operator
-from baggie.options.calibrating import CameraToWorldOptions, RobotToWorldOptions
+from baggie.options.commissioning import CameraToWorldOptions, RobotToWorldOptions
 from baggie.pictures import read_pictures
 from baggie.robot.arm import hand_pose
 from baggie.vision.targets import Seen, Target, parse_target, with_sag

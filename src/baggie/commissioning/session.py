@@ -23,7 +23,7 @@ from baggie.commissioning.assistant import Assistant, Person
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_text
 from baggie.operator import Line, Operator, Picture, TerminalOperator
-from baggie.options.calibrating import LiveOptions
+from baggie.options.commissioning import LiveOptions
 from baggie.pictures import write_picture
 from baggie.types import Image, Observation
 from baggie.vision.targets import Seen

@@ -22,8 +22,8 @@ from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.metrics import position_error_cm, yaw_error_deg
 from baggie.operator import Operator
-from baggie.options.choices import GoalKind
 from baggie.options.evaluating import EvaluateOptions
+from baggie.options.values import GoalKind
 from baggie.types import Goal, Observation, Outcome, Plan
 from baggie.vision.draw import check_goal
 

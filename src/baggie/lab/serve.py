@@ -10,7 +10,7 @@ from baggie.files import write_text
 from baggie.lab.faults import cause, check_fault
 from baggie.lab.lab import Lab
 from baggie.lab.web import STREAM, LabServer
-from baggie.options.workcells import LabOptions
+from baggie.options.commissioning import LabOptions
 
 _FILE = """\
 # The virtual lab: a simulated workcell behind the interfaces of a real one (docs/lab.md).

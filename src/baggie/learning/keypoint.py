@@ -23,8 +23,8 @@ from baggie.geometry import FloatArray
 from baggie.learning.labels import SYSTEMATIC_M, Disagreement, Labels
 from baggie.learning.loop import Batch, Recipe
 from baggie.learning.samples import Changes, Samples
-from baggie.options.choices import Backbone
 from baggie.options.training import KeypointTraining
+from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import LONG, SQUARE, gaussians, phase_of
 from baggie.policies.keypoint.network import KeypointNet, Keypoints, ResNetFeatures, phases_under
 from baggie.policies.keypoint.plan import GoalInput, View

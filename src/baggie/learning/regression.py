@@ -12,8 +12,8 @@ from torch.optim import Adam, Optimizer
 
 from baggie.data.summary import goal_of
 from baggie.learning.loop import Batch, Recipe
-from baggie.options.choices import DrawnStyle, Statistics
 from baggie.options.training import RegressionTraining
+from baggie.options.values import DrawnStyle, Statistics
 from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, load_imagenet
 from baggie.types import Attempt
 

@@ -27,8 +27,8 @@ from baggie.learning.demonstrations import (
 from baggie.learning.loop import Batch, Recipe
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.split import Split, split_episodes
-from baggie.options.choices import Preset
 from baggie.options.training import TransporterTraining
+from baggie.options.values import Preset
 from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet

@@ -14,7 +14,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import read_yaml, write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
-from baggie.options.choices import COLOR_MASK
+from baggie.options.values import COLOR_MASK
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.options.choices import ORACLE
+from baggie.options.values import ORACLE
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan
 

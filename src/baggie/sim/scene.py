@@ -14,7 +14,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
-from baggie.options.choices import CARD_COLOR
+from baggie.options.values import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.blocks import CUP_RADIUS_M
 from baggie.sim.cell import Cell, table_top

@@ -36,7 +36,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.seeds import first_fit
 from baggie.sim.bag import Bag, Fabric, Shape
 from baggie.sim.cell import ALL_HUES, UNSEEN, USUAL, Cell, Color, Hues, draw_light, hue_of, random_hue, rgb

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.blocks import Block, Fixture
 from baggie.sim.cell import Cell, draw_cell

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.options.choices import CARD_COLOR
+from baggie.options.values import CARD_COLOR
 from baggie.types import Image
 from baggie.vision.color_mask import (
     FIRST_THRESHOLD,

@@ -21,7 +21,7 @@ from matplotlib.path import Path as Outline
 from baggie.errors import BaggieError, UsageError
 from baggie.files import write_bytes
 from baggie.geometry import FloatArray
-from baggie.options.choices import CARD_COLOR, DrawnStyle
+from baggie.options.values import CARD_COLOR, DrawnStyle
 from baggie.vision.pattern import pattern
 from baggie.vision.targets import Charuco, Chessboard, Marker, Target
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
-from baggie.options.choices import USUAL_TASK, Scenery
+from baggie.options.values import USUAL_TASK, Scenery
 from baggie.registry import TASKS
 from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.limits import Limits

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.geometry import FloatArray
-from baggie.options.choices import Backbone
+from baggie.options.values import Backbone
 from baggie.policies.keypoint import heads as planar_map
 from baggie.policies.keypoint.heads import (
     CHANNELS,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
-from baggie.options.choices import DrawnStyle
+from baggie.options.values import DrawnStyle
 from baggie.policies.checkpoint import as_trained
 from baggie.types import Goal, Image, Observation, PickPlace, Plan, seen
 from baggie.vision.draw import paint_goal, region_mask, without_card

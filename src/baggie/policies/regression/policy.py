@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.errors import DataError
-from baggie.options.choices import DrawnStyle, Statistics
+from baggie.options.values import DrawnStyle, Statistics
 from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.regression.plan import goal_input, network_input, plan

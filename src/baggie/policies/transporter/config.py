@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 from baggie.errors import BaggieError
-from baggie.options.choices import Preset
+from baggie.options.values import Preset
 
 _FEWEST_BINS = 3
 """So that the best bin has two neighbours, between which an angle can be read."""
