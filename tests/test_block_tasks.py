@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.registry import TASKS
-from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
+from baggie.sim.objects import Block, Fixture, distance_m, extent_m
 from baggie.tasks.demonstrator import carry, next_action
 from baggie.tasks.layout import REACH
 from baggie.tasks.scoring import RavensScore, all_filled, filled

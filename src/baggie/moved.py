@@ -17,6 +17,7 @@ MOVED = {
     "baggie.grid": "baggie.geometry",
     "baggie.lab.control": "baggie.lab.web",
     "baggie.sim.arm_model": "baggie.robot.kinematics",
+    "baggie.sim.blocks": "baggie.sim.objects",
     "baggie.sim.kinematics": "baggie.robot.kinematics",
     "baggie.vision.picture_files": "baggie.pictures",
     "baggie.workcell.arm": "baggie.robot.arm",

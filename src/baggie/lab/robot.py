@@ -22,9 +22,8 @@ from baggie.geometry import FloatArray
 from baggie.robot.franka.link import T_FLANGE_TOOL
 from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
-from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.arm_world import OPEN_M, ArmWorld, Fingers, upward_touch
 from baggie.sim.scene import ARM, arm_spec
-from baggie.sim.tools import OPEN_M, Fingers
 
 Difference = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
-from baggie.sim.things import Pose, paint
+from baggie.sim.objects import Pose, paint
 from baggie.types import Image
 
 if TYPE_CHECKING:

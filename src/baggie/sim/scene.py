@@ -16,9 +16,8 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.options.values import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
-from baggie.sim.blocks import CUP_RADIUS_M
 from baggie.sim.cell import Cell, table_top
-from baggie.sim.clutter import Distractor, distractor_xml
+from baggie.sim.objects import CUP_RADIUS_M, Thing, paint
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -28,7 +27,7 @@ from baggie.sim.printed import (
     SHEET_TEXTURE,
     add_printed,
 )
-from baggie.sim.things import Thing, paint
+from baggie.sim.variety import Distractor, distractor_xml
 from baggie.types import Intrinsics
 from baggie.vision.height_map import DepthCamera
 

@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
-from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.arm_world import ArmWorld, Suction, upward_touch
 from baggie.sim.bag import Bag
-from baggie.sim.blocks import Block, Fixture, RigidBody, reshape
 from baggie.sim.cell import Cell
-from baggie.sim.clutter import Distractor
+from baggie.sim.objects import Block, Body, Fixture, Pose, RigidBody, Thing, paint, reshape
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -39,8 +38,7 @@ from baggie.sim.scene import (
     Tool,
     build_model,
 )
-from baggie.sim.things import Body, Pose, Thing, paint
-from baggie.sim.tools import Suction
+from baggie.sim.variety import Distractor
 from baggie.vision.height_map import DepthCamera
 from baggie.vision.targets import Target
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from baggie.geometry import FloatArray, PlanarPose, planar_pose, wrap_angle
 from baggie.seeds import first_fit
-from baggie.sim.blocks import CUP_RADIUS_M, Block, Fixture, distance_m, extent_m, reach_m
+from baggie.sim.objects import CUP_RADIUS_M, Block, Fixture, distance_m, extent_m, reach_m
 from baggie.tasks.layout import find_room
 from baggie.tasks.scoring import ANGLE_RAD, filled, yaw_of
 from baggie.tasks.task import Scene, Slot, Stage, Tool

@@ -11,9 +11,8 @@ import numpy as np
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
-from baggie.sim.blocks import Block, Fixture
 from baggie.sim.cell import Cell, draw_cell
-from baggie.sim.things import Thing
+from baggie.sim.objects import Block, Fixture, Thing
 from baggie.sim.variety import Variety
 
 Tool = Literal["hand", "cup"]

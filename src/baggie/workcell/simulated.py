@@ -18,9 +18,9 @@ from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
 from baggie.sim.bag import Bag
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
+from baggie.sim.objects import Thing
 from baggie.sim.renderer import Film
 from baggie.sim.sensor import Exposure
-from baggie.sim.things import Thing
 from baggie.sim.variety import lay_bags
 from baggie.sim.world import World
 from baggie.tasks.demonstrator import next_action, varied_action
