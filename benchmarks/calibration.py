@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 from rich.progress import track
 
+from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, read_views
@@ -30,8 +31,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.intrinsics.views import BoardView
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import compose, fit_from_points
+from baggie.calibration.robot_to_world import compose, fit_from_points
 from baggie.commissioning.hand_eye import random_hand_pose, take_hand_eye_views
 from baggie.commissioning.image_to_robot import calibrate_image_to_robot_live, grid
 from baggie.commissioning.intrinsics import calibrate_intrinsics_live

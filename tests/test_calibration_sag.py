@@ -13,6 +13,7 @@ from PIL import Image as Pillow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from baggie.calibration.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, read_views
@@ -21,7 +22,6 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import BoardView, fit_intrinsics
 from baggie.calibration.intrinsics.lens import DISTORTION, USUAL_SAG, LensGuess, fit_lens, settle_lens
 from baggie.calibration.intrinsics.views import corner_noise_px
-from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.commissioning.intrinsics import calibrate_intrinsics
 from baggie.commissioning.printed import points_to_touch
 from baggie.commissioning.robot_to_world import calibrate_camera_to_world, calibrate_robot_to_world_live

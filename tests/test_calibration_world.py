@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from baggie.calibration.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import (
+from baggie.calibration.robot_to_world import (
     CameraToRobot,
     RobotToWorld,
     compare,

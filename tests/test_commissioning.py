@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.hand_eye.solve import HandEye
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.camera_to_world import CameraToWorld
-from baggie.calibration.world.robot_to_world import CameraToRobot
+from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cli.main import main
 from baggie.commissioning.assistant import Person
 from baggie.commissioning.check import check_live

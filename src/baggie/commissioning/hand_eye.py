@@ -15,7 +15,7 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import HandEye, draw_views, solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.robot_to_world import CameraToRobot, compare
+from baggie.calibration.robot_to_world import CameraToRobot, compare
 from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import RobotToWorld, compose, fit_from_axes, fit_from_points
+from baggie.calibration.robot_to_world import RobotToWorld, compose, fit_from_axes, fit_from_points
 from baggie.commissioning.printed import T_world_target, points_to_touch
 from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, DataError

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import fdtri
 
+from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.files import Calibration, CameraCalibrated, CameraIdentity
-from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
-from baggie.calibration.world.camera_to_world import CameraToWorld
-from baggie.calibration.world.touches import (
+from baggie.calibration.point_registration import (
     agreeing,
     axes_covariance,
     distances,
@@ -30,6 +29,7 @@ from baggie.calibration.world.touches import (
     rigid_covariance,
     spread,
 )
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, difference, transform_points
 
