@@ -46,7 +46,7 @@ sizes = st.tuples(st.integers(120, 4096), st.integers(120, 4096))
 def _hardly_taught(monkeypatch):
     """Two steps teach no network to be sure of what it sees; where a picture leads is told by any."""
     torch.set_num_threads(1)
-    monkeypatch.setattr("baggie.policies.keypoint.plan._IN_SIGHT", 0.0)
+    monkeypatch.setattr("baggie.policies.planning._IN_SIGHT", 0.0)
 
 
 def open_shape(_number, size):
@@ -223,7 +223,7 @@ def test_an_older_policy_squeezes_as_the_picture_beside_it_says(squeezed, tmp_pa
 
 
 def test_the_colour_mask_is_right_on_squeezed_pictures(squeezed, tmp_path, below):
-    from baggie.policies.color_mask import ColorMaskPolicy
+    from baggie.policies.baselines import ColorMaskPolicy
 
     ColorMaskPolicy(image_to_robot((640, 480)), (200, 40, 40)).save(squeezed / CALIBRATION_FOLDER)
     metrics = validate(ValidateOptions("color-mask", squeezed, tmp_path))

@@ -8,9 +8,8 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.policies.base import Policy
-from baggie.policies.color_mask import ColorMaskPolicy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import Policy, check_policy
+from baggie.policies.baselines import ColorMaskPolicy
 from baggie.types import Goal, Observation
 from helpers.fake_workcell import FakeCell
 

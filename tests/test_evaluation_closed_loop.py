@@ -24,7 +24,7 @@ from baggie.evaluation.log import append_line, read_lines
 from baggie.evaluation.setup import Bench
 from baggie.geometry import PlanarPose
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.oracle import OraclePolicy
+from baggie.policies.baselines import OraclePolicy
 from baggie.types import Observation, Outcome
 from baggie.workcell.workcell import WorkcellSettings
 from helpers.streaming import Here

@@ -23,7 +23,7 @@ from baggie.evaluation.setup import Bench, card_map
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.evaluating import EvaluateOptions
 from baggie.options.values import CARD_COLOR
-from baggie.policies.oracle import OraclePolicy
+from baggie.policies.baselines import OraclePolicy
 from baggie.types import Goal, Observation
 from baggie.vision.draw import paint_goal
 from helpers.synthetic import WORKSPACE, intrinsics, to_pixels

@@ -9,9 +9,9 @@ import pytest
 from baggie.data.summary import goal_of
 from baggie.geometry import PlanarPose
 from baggie.learning.augmentation import as_it_is
-from baggie.learning.labels import Labels
+from baggie.learning.samples import Labels
 from baggie.policies.keypoint.heads import PlanarMap
-from baggie.policies.keypoint.plan import View
+from baggie.policies.planning import View
 from baggie.types import PickPlace
 from helpers.synthetic import WORKSPACE, box_corners, make_attempt
 

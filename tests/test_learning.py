@@ -25,19 +25,18 @@ from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
 from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate
-from baggie.learning.labels import SYSTEMATIC_M, Disagreement
 from baggie.learning.loop import FILE, State, Training, deferred_interrupt, prefetched
-from baggie.learning.measure import measure
 from baggie.learning.regression import RegressionRecipe
-from baggie.learning.samples import Changes
+from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement
 from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
+from baggie.learning.train import plan_errors
 from baggie.metrics import yaw_error_deg
 from baggie.operator import Nobody
 from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.policies.keypoint import heads as planar_map
-from baggie.policies.regression.policy import ResNet18
+from baggie.policies.regression import ResNet18
 from baggie.types import Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
 from helpers.synthetic import box_corners, make_attempt
@@ -464,10 +463,10 @@ def test_a_folder_that_cannot_be_written(tmp_path):
 def test_goals_a_policy_cannot_tell_are_counted(overfitted):
     policy = load_policy(overfitted)
     far = replace(ATTEMPTS[9], box_after=np.array([[5.0, 5], [25, 5], [25, 25], [5, 25]]))
-    measured = measure(policy, [ATTEMPTS[8], far])
+    measured = plan_errors(policy, [ATTEMPTS[8], far])
     assert measured["without_plan"] == 1
     assert measured["labels"]["pick_error_cm"]["n"] == 1
-    assert measure(policy, [far]) == {"without_plan": 1}
+    assert plan_errors(policy, [far]) == {"without_plan": 1}
 
 
 @pytest.mark.parametrize(("symmetry", "off_deg"), [(1, 90), (2, 90), (4, 0), (0, 0)])
@@ -479,7 +478,7 @@ def test_yaws_are_compared_modulo_the_object_s_symmetry(symmetry, off_deg):
             right = next(a for a in ATTEMPTS if a.before is observation).outcome.executed
             return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
 
-    labels = measure(QuarterTurned(), ATTEMPTS[:3], symmetry)["labels"]
+    labels = plan_errors(QuarterTurned(), ATTEMPTS[:3], symmetry)["labels"]
     assert labels["pick_yaw_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
     assert labels["turn_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
     assert labels["place_yaw_error_deg"]["max"] == pytest.approx(0)
@@ -496,7 +495,7 @@ def test_yaws_are_compared_as_each_attempt_says(symmetry, off_deg):
             right = ATTEMPTS[0].outcome.executed
             return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
 
-    errors = measure(QuarterTurned(), [square, other])["labels"]["pick_yaw_error_deg"]
+    errors = plan_errors(QuarterTurned(), [square, other])["labels"]["pick_yaw_error_deg"]
     assert errors["mean"] == pytest.approx(off_deg / 2, abs=1e-6)
 
 

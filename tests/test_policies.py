@@ -21,10 +21,10 @@ from baggie.policies import (
     RegressionPolicy,
     load_policy,
 )
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.plan import View
-from baggie.policies.regression.policy import RegressionNet, Regressor, ResNet18, load_imagenet
+from baggie.policies.planning import View
+from baggie.policies.regression import RegressionNet, Regressor, ResNet18, load_imagenet
 from helpers.synthetic import RED, box_corners, make_attempt, to_pixels
 
 SIZE = (640, 360)

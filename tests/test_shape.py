@@ -19,7 +19,7 @@ from baggie.learning.augmentation import (
     without_object,
 )
 from baggie.policies.keypoint import heads as phase
-from baggie.policies.keypoint.plan import LONG
+from baggie.policies.planning import LONG_RATIO
 from baggie.vision.color_mask import find_bag
 
 SIDE = 41
@@ -43,7 +43,7 @@ def shown(shape: Shape) -> np.ndarray:
 @given(seeds)
 def test_its_middle_stays(seed):
     rng = np.random.default_rng(seed)
-    shape = reshaped(rng, turned(rng, as_it_is(0.0), JACOBIAN), JACOBIAN, LONG)
+    shape = reshaped(rng, turned(rng, as_it_is(0.0), JACOBIAN), JACOBIAN, LONG_RATIO)
     v, u = np.nonzero(shown(shape))
     assert [u.mean(), v.mean()] == pytest.approx(MIDDLE, abs=0.5)
 
@@ -66,7 +66,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
 @given(seeds)
 def test_what_is_long_lies_along_its_yaw(seed):
     rng = np.random.default_rng(seed)
-    shape = turned(rng, reshaped(rng, as_it_is(0.0), JACOBIAN, LONG), JACOBIAN)
+    shape = turned(rng, reshaped(rng, as_it_is(0.0), JACOBIAN, LONG_RATIO), JACOBIAN)
     points = np.argwhere(shown(shape))[:, ::-1].astype(np.float32)
     sides = 1 + np.array(cv2.minAreaRect(points)[1])  # between the outermost pixels' centres
     if shape.round_from is not None:
@@ -75,9 +75,9 @@ def test_what_is_long_lies_along_its_yaw(seed):
         return
     assert len(points) == pytest.approx(max(sides) * min(sides), rel=0.1)
     ratio = max(sides) / min(sides)
-    if abs(ratio - LONG) > 0.05:
-        assert shape.symmetry == (2 if ratio > LONG else 4)
-        assert shape.phases == (1.0, float(ratio > LONG))
+    if abs(ratio - LONG_RATIO) > 0.05:
+        assert shape.symmetry == (2 if ratio > LONG_RATIO else 4)
+        assert shape.phases == (1.0, float(ratio > LONG_RATIO))
     if ratio > 1.3:
         _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
         x, y = JACOBIAN @ axes[0]
@@ -86,7 +86,7 @@ def test_what_is_long_lies_along_its_yaw(seed):
 
 def test_what_is_long_stays_long_and_is_not_stretched():
     for seed in range(20):
-        shape = reshaped(np.random.default_rng(seed), as_it_is(0.3, 2), JACOBIAN, LONG)
+        shape = reshaped(np.random.default_rng(seed), as_it_is(0.3, 2), JACOBIAN, LONG_RATIO)
         assert shape.phases == (1.0, 1.0)
         assert shape.linear == pytest.approx(np.eye(2) * shape.linear[0, 0])
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import Grid, PlanarPose
 from baggie.policies import TransporterPolicy, load_policy
-from baggie.policies.contract import check_policy
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.base import check_policy
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.fast import CELL, DEEPEST, Trunk
 from baggie.policies.transporter.network import Attention, Decision, PaperMaps, ResidualFCN, TransporterNet

@@ -179,7 +179,7 @@ BAGGIE = Group(
             "Run a virtual lab: a simulated workcell that is reached as a real one is. Ctrl-C ends it.",
             ("baggie lab --out lab.yaml",),
             f"{_SETTING_UP}:LabOptions",
-            "baggie.lab.serve:serve_lab",
+            "baggie.lab.web:serve_lab",
             shows=None,
             more="Prints the workcell file that opens it.",
         ),

@@ -23,7 +23,7 @@ from baggie.metrics import Rate, success_rate, summary, within_stated
 from baggie.operator import Caution, Operator, progress
 from baggie.options.evaluating import EvaluateOptions
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.color_mask import CONFIG_FILE
+from baggie.policies.baselines import CONFIG_FILE
 from baggie.seeds import EVALUATION
 
 RADII_CM = (1.0, 2.0, 3.0)

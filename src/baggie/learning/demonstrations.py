@@ -22,9 +22,9 @@ from baggie.data.summary import goal_of, shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, Grid, PlanarPose, rotation
 from baggie.learning.augmentation import as_it_is, object_mask, turned, with_shape, without_object
-from baggie.learning.labels import directions
+from baggie.learning.samples import directions
 from baggie.learning.symmetry import Origin, check_symmetries, found_symmetries
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.policy import UNKNOWN, Scale
 from baggie.types import Attempt, PickPlace
 from baggie.vision.carried import Carried, place_of

@@ -20,17 +20,16 @@ from torch.optim import AdamW, Optimizer
 from baggie.data.summary import goal_of
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.learning.labels import SYSTEMATIC_M, Disagreement, Labels
 from baggie.learning.loop import Batch, Recipe
-from baggie.learning.samples import Changes, Samples
+from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement, Labels, Samples
 from baggie.options.training import KeypointTraining
 from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import LONG, SQUARE, gaussians, phase_of
 from baggie.policies.keypoint.network import KeypointNet, Keypoints, ResNetFeatures, phases_under
-from baggie.policies.keypoint.plan import GoalInput, View
 from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression.policy import load_imagenet
+from baggie.policies.planning import GoalInput, View
+from baggie.policies.regression import load_imagenet
 from baggie.types import Attempt
 
 COVERAGE = 0.9

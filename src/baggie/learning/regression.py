@@ -14,7 +14,7 @@ from baggie.data.summary import goal_of
 from baggie.learning.loop import Batch, Recipe
 from baggie.options.training import RegressionTraining
 from baggie.options.values import DrawnStyle, Statistics
-from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, load_imagenet
+from baggie.policies.regression import RegressionNet, RegressionPolicy, load_imagenet
 from baggie.types import Attempt
 
 

@@ -29,7 +29,7 @@ from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.split import Split, split_episodes
 from baggie.options.training import TransporterTraining
 from baggie.options.values import Preset
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy

@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from baggie.errors import DataError, install_extra
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.policies.keypoint.plan import Float32, GoalInput, Reading, View, plan
-from baggie.policies.regression import plan as regression_plan
+from baggie.policies.planning import (
+    REGRESSION_SIDE,
+    Float32,
+    GoalInput,
+    Reading,
+    View,
+    keypoint_plan,
+    regression_goal_input,
+    regression_plan,
+)
 from baggie.types import Goal, Observation, Plan, marked
 
 
@@ -78,13 +86,13 @@ class ExportedKeypoint(ExportedPolicy):
         _check(graph, (1, self.goal_input.channels, height, width))
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return plan(
+        """Where to pick and where to place; see `keypoint_plan`, whose errors it raises."""
+        return keypoint_plan(
             self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
         )
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
-        """Run the network; see `keypoint_plan.Read`."""
+        """Run the network; see `KeypointRead`."""
         return Reading(*self.graph.run(Reading._fields, {"images": images, "near": near, "corners": corners}))
 
 
@@ -93,12 +101,12 @@ class ExportedRegression(ExportedPolicy):
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         super().__init__(graph, config)
-        self.goal_input = regression_plan.goal_input(config["model"])
-        _check(graph, (1, 3, regression_plan.SIDE, regression_plan.SIDE))
+        self.goal_input = regression_goal_input(config["model"])
+        _check(graph, (1, 3, REGRESSION_SIDE, REGRESSION_SIDE))
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(
+        """Pick and place positions; see `regression_plan`, whose errors it raises."""
+        return regression_plan(
             self.read,
             self.goal_input,
             self.picture_size,
@@ -108,7 +116,7 @@ class ExportedRegression(ExportedPolicy):
         )
 
     def read(self, images: NDArray[np.uint8]) -> Float32:
-        """Run the network; see `regression_plan.Read`."""
+        """Run the network; see `RegressionRead`."""
         return self.graph.run(["xy"], {"images": images})[0]
 
 

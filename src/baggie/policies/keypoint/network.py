@@ -28,8 +28,8 @@ from baggie.policies.keypoint.heads import (
     squared_distances,
     yaw_of,
 )
-from baggie.policies.keypoint.plan import CELL
-from baggie.policies.regression.policy import IMAGENET_MEAN, IMAGENET_STD, ResNet18
+from baggie.policies.planning import CELL
+from baggie.policies.regression import IMAGENET_MEAN, IMAGENET_STD, ResNet18
 
 
 class Features(NamedTuple):
@@ -247,7 +247,7 @@ _PEAK = 4.0
 
 
 class KeypointReader(nn.Module):
-    """One picture and goal -> what `keypoint_plan.Reading` holds, as tensors in its order."""
+    """One picture and goal -> what `Reading` holds, as tensors in its order."""
 
     to_picture: Tensor
 

@@ -17,8 +17,8 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.geometry import FloatArray, apply_homography
 from baggie.policies.keypoint.network import KeypointNet, KeypointReader
-from baggie.policies.keypoint.plan import Float32, GoalInput, Reading, View, plan, to_picture
 from baggie.policies.learned import LearnedPolicy
+from baggie.policies.planning import Float32, GoalInput, Reading, View, keypoint_plan, to_picture
 from baggie.types import Goal, Observation, Plan, marked
 
 
@@ -57,8 +57,8 @@ class KeypointPolicy(LearnedPolicy):
         return cls(network, View.of(model["view"], picture_size), cell, goal_input)
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return plan(
+        """Where to pick and where to place; see `keypoint_plan`, whose errors it raises."""
+        return keypoint_plan(
             self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
         )
 
@@ -67,7 +67,7 @@ class KeypointPolicy(LearnedPolicy):
         return KeypointReader(self.network, to_picture(self.view)).eval()
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
-        """Run the network; see `keypoint_plan.Read`."""
+        """Run the network; see `KeypointRead`."""
         with torch.inference_mode():
             given = (torch.from_numpy(array).to(self.device) for array in (images, near, corners))
             return Reading(*(part.cpu().numpy() for part in self.reader()(*given)))

@@ -19,8 +19,8 @@ from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, wrap_angle
 from baggie.policies.checkpoint import as_trained
-from baggie.policies.keypoint.plan import GoalInput
 from baggie.policies.learned import LearnedPolicy
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import PlaceAngle, Scores
