@@ -17,8 +17,7 @@ from baggie.collect.calibrate import calibrate
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import Rectangle, apply_homography, wrap_angle
-from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration
+from baggie.policies.keypoint.policy import KeypointNet, KeypointPolicy, as_calibration
 from baggie.policies.planning import View
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics

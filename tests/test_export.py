@@ -22,7 +22,7 @@ from baggie.geometry import Grid
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
 from baggie.policies.base import check_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
-from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.policy import KeypointNet
 from baggie.policies.planning import GoalInput, Reading, View
 from baggie.policies.regression import RegressionNet
 from baggie.policies.transporter.config import TransporterConfig

@@ -22,7 +22,7 @@ from baggie.policies import (
     load_policy,
 )
 from baggie.policies.base import check_policy
-from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.policy import KeypointNet
 from baggie.policies.planning import View
 from baggie.policies.regression import RegressionNet, Regressor, ResNet18, load_imagenet
 from helpers.synthetic import RED, box_corners, make_attempt, to_pixels

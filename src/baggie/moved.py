@@ -11,7 +11,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
-    "baggie.data.ravens_agent": "baggie.ravens.agent",
+    "baggie.data.ravens_agent": "baggie.ravens.adapters",
     "baggie.evaluation.metrics": "baggie.metrics",
     "baggie.evaluation.results": "baggie.results",
     "baggie.grid": "baggie.geometry",
@@ -20,6 +20,8 @@ MOVED = {
     "baggie.policies.contract": "baggie.policies.base",
     "baggie.policies.oracle": "baggie.policies.baselines",
     "baggie.policies.regression.policy": "baggie.policies.regression",
+    "baggie.ravens.agent": "baggie.ravens.adapters",
+    "baggie.ravens.convert": "baggie.ravens.adapters",
     "baggie.sim.arm_model": "baggie.robot.kinematics",
     "baggie.sim.blocks": "baggie.sim.objects",
     "baggie.sim.kinematics": "baggie.robot.kinematics",

@@ -124,7 +124,7 @@ BAGGIE = Group(
             "Convert demonstrations of the Ravens benchmark into a recording. The same command again goes on.",
             ("baggie import-ravens stack-block-pyramid-train --out recordings/pyramid",),
             f"{_COLLECTING}:ImportOptions",
-            "baggie.ravens.convert:import_ravens",
+            "baggie.ravens.adapters:import_ravens",
             more="The folder is one of those that Ravens' demos.py writes, with action, color, depth, info and reward "
             "in it. Its three views become one picture from straight above, each action an attempt, each episode an "
             "episode.",

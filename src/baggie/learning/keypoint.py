@@ -25,8 +25,13 @@ from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement, Labels,
 from baggie.options.training import KeypointTraining
 from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import LONG, SQUARE, gaussians, phase_of
-from baggie.policies.keypoint.network import KeypointNet, Keypoints, ResNetFeatures, phases_under
-from baggie.policies.keypoint.policy import KeypointPolicy
+from baggie.policies.keypoint.policy import (
+    KeypointNet,
+    KeypointPolicy,
+    Keypoints,
+    ResNetFeatures,
+    phases_under,
+)
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.planning import GoalInput, View
 from baggie.policies.regression import load_imagenet
