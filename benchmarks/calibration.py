@@ -59,7 +59,7 @@ from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.sim.cell import Cell, draw_cell
 from baggie.types import Observation
-from baggie.vision.targets import Seen, Target, parse_target
+from baggie.vision.targets import Target, TargetDetection, parse_target
 from baggie.workcell.simulated import SimulatedWorkcell
 
 RESULTS = Path("docs/results")
@@ -192,12 +192,12 @@ class Detector:
         )
         return values
 
-    def see(self, target: Target, T_base_target: FloatArray) -> Seen:
+    def see(self, target: Target, T_base_target: FloatArray) -> TargetDetection:
         """The target's points that are in the picture."""
         pixels = self.pixels(transform_points(T_base_target, target.points))
         inside = ((pixels > 0) & (pixels < np.array(self.cell.lens.size) - 1)).all(axis=1)
         ids = np.flatnonzero(inside)
-        return Seen(ids, pixels[ids], target.points[ids])
+        return TargetDetection(ids, pixels[ids], target.points[ids])
 
 
 def intrinsics_of(detector: Detector, rng: np.random.Generator, views: int = 20) -> CameraCalibration:

@@ -36,7 +36,7 @@ from baggie.pictures import read_picture, write_picture
 from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
-from baggie.vision.targets import Marker, parse_target
+from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.config import open_workcell
 from helpers.board_pictures import random_pose, render_board
 from helpers.fake_workcell import FakeArm, FakeCell
@@ -254,7 +254,7 @@ def test_a_view_folder_keeps_what_it_was_given_and_refuses_another_beginning(tmp
 def test_a_marker_s_middle_is_where_its_diagonals_cross() -> None:
     lens = Intrinsics(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5))
     marker = parse_target("aruco:DICT_4X4_50:0:0.10")
-    assert isinstance(marker, Marker)
+    assert isinstance(marker, ArucoMarker)
     rng = np.random.default_rng(1)
     for _ in range(4):
         pose = random_pose(marker, lens, rng, near=0.3)

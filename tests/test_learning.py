@@ -24,8 +24,8 @@ from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate
-from baggie.learning.loop import FILE, State, Training, deferred_interrupt, prefetched
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate_radii
+from baggie.learning.loop import FILE, TrainingLoop, TrainingState, deferred_interrupt, prefetched
 from baggie.learning.regression import RegressionRecipe
 from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement
 from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
@@ -151,7 +151,7 @@ def test_warped_labels_are_exact():
     recipe = KeypointRecipe(ATTEMPTS)
     for seed in range(5):
         batch = recipe.batch(np.random.default_rng(seed))
-        points = planar_map.apply(batch["to_picture"].unsqueeze(1), batch["cells"])
+        points = planar_map.apply_homographies(batch["to_picture"].unsqueeze(1), batch["cells"])
         found = recipe.policy.network.to_robot(points)
         assert torch.allclose(found, batch["xy"], atol=2e-5)
 
@@ -268,7 +268,7 @@ class SecondOfTwo:
 
 
 def test_ctrl_c_stops_all_processes_after_the_same_step(tmp_path):
-    training = Training(
+    training = TrainingLoop(
         KeypointRecipe(ATTEMPTS[:8]),
         tmp_path,
         steps=6,
@@ -319,7 +319,8 @@ def test_ctrl_c_that_one_of_two_processes_hears_ends_and_saves_both(tmp_path):
 def test_a_training_goes_on_where_it_was_begun_and_nowhere_else(tmp_path):
     part = torch.nn.Linear(1, 1)
     begun, elsewhere = (
-        State(part, torch.optim.SGD(part.parameters()), None, where) for where in ("cuda with 2", "cpu")
+        TrainingState(part, torch.optim.SGD(part.parameters()), None, where)
+        for where in ("cuda with 2", "cpu")
     )
     begun.save(tmp_path)
     begun.load(tmp_path)
@@ -568,7 +569,7 @@ def test_radii_hold_nine_of_ten_errors_of_the_attempts_they_were_set_on(overfitt
     policy = load_policy(overfitted)
     held_out = make_attempts(30)[10:]
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
-    times = calibrate(policy, held_out, agreed, 2)
+    times = calibrate_radii(policy, held_out, agreed, 2)
     assert times is not None
     inside = []
     for attempt in held_out:
@@ -591,7 +592,7 @@ def test_a_second_opinion_narrows_what_labels_may_be_off_alike(overfitted):
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
     radii = []
     for opinions in (1, 2):
-        calibrate(policy, held_out, agreed, opinions)
+        calibrate_radii(policy, held_out, agreed, opinions)
         plan = policy.plan(picture, goal)
         radii.append((plan.pick_within_m, plan.place_within_m))
     assert radii[0][0] ** 2 - radii[1][0] ** 2 == pytest.approx(SYSTEMATIC_M**2 / 2 * math.log(10), rel=1e-3)
@@ -601,7 +602,7 @@ def test_a_second_opinion_narrows_what_labels_may_be_off_alike(overfitted):
 def test_without_enough_held_out_attempts_nothing_is_said(overfitted):
     policy = load_policy(overfitted)
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
-    assert calibrate(policy, ATTEMPTS[:9], agreed, 2) is None
+    assert calibrate_radii(policy, ATTEMPTS[:9], agreed, 2) is None
     plan = policy.plan(ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
     assert plan.pick_within_m is None
     assert plan.place_within_m is None

@@ -200,8 +200,8 @@ def test_jacobians_agree_with_automatic_differentiation(seed, u, v):
     exact = torch.autograd.functional.jacobian(to_robot, point)
     assert torch.allclose(to_robot.jacobian(point), exact, atol=1e-9)
     matrix = to_robot.matrix().detach()
-    exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply(matrix, p), point)
-    assert torch.allclose(planar_map.jacobian(matrix, point), exact, atol=1e-9)
+    exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply_homographies(matrix, p), point)
+    assert torch.allclose(planar_map.homography_jacobian(matrix, point), exact, atol=1e-9)
 
 
 @settings(deadline=None)
@@ -219,7 +219,7 @@ def test_yaw_survives_any_view(yaw, turn, stretch, mirrored, symmetry):
     angle = torch.tensor(yaw, dtype=torch.float64)
     there = phase.phase_of(angle, jacobian, symmetry)
     assert there.norm().item() == pytest.approx(1)
-    back = phase.yaw_of(there, jacobian, symmetry).item()
+    back = phase.yaw_of_phase(there, jacobian, symmetry).item()
     assert math.remainder(back - yaw, 2 * math.pi / symmetry) == pytest.approx(0, abs=1e-3)
 
 

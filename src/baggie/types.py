@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
 import numpy as np
@@ -12,7 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose
+from baggie.moved import renamed
 from baggie.pictures import as_metres, as_outline, as_picture
+
+if not TYPE_CHECKING:  # so that a type checker knows which names there are
+    __getattr__ = partial(renamed, __name__)
 
 _CONVERGED_PX = 1e-6
 _LAST_TO_CONVERGE = 100
@@ -212,7 +217,7 @@ def _numbers(values: Any, count: int) -> tuple[float, ...] | None:
     return tuple(numbers.tolist()) if numbers.shape == (count,) and np.isfinite(numbers).all() else None
 
 
-def seen(observation: Observation) -> Observation:
+def require_observation(observation: Observation) -> Observation:
     """The observation, for a policy. Raises `BaggieError` for what is none, such as its picture alone."""
     if not isinstance(observation, Observation):
         kind = type(observation).__name__
@@ -220,7 +225,7 @@ def seen(observation: Observation) -> Observation:
     return observation
 
 
-def marked(goal: Goal | None) -> Goal:
+def require_goal(goal: Goal | None) -> Goal:
     """The goal, for a policy that needs one. Raises `BaggieError` where there is none."""
     if goal is None:
         raise BaggieError("expected a goal marked in the picture, got none; give plan(observation, goal) one")

@@ -20,14 +20,14 @@ from scipy.special import fdtri
 from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.files import Calibration, CameraCalibrated, CameraIdentity
 from baggie.calibration.point_registration import (
-    agreeing,
     axes_covariance,
+    centroid_size,
     distances,
     fit_rigid,
     from_axes,
     in_line,
+    inliers,
     rigid_covariance,
-    spread,
 )
 from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
 from baggie.errors import CalibrationError
@@ -147,7 +147,7 @@ class CameraToRobot(CameraCalibrated):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CalibrationComparison:
     """How far apart two calibrations of the same camera and robot are."""
 
     mm: float
@@ -167,12 +167,12 @@ def compose(camera_to_world: CameraToWorld, robot_to_world: RobotToWorld) -> Cam
     return CameraToRobot(camera_to_world.camera, pose, "camera-to-world and robot-to-world composed")
 
 
-def compare(a: CameraToRobot, b: CameraToRobot) -> Comparison:
+def compare_calibrations(a: CameraToRobot, b: CameraToRobot) -> CalibrationComparison:
     """Compare two calibrations. Raises `CalibrationError` when they are of different cameras or resolutions."""
     a.camera.check(b.camera, "the first calibration")
     metres, radians = difference(a.pose.transform, b.pose.transform)
     together = UncertainTransform(a.pose.transform, a.pose.covariance + b.pose.covariance)
-    return Comparison(metres * 1000, float(np.degrees(radians)), together.holds(b.pose.transform))
+    return CalibrationComparison(metres * 1000, float(np.degrees(radians)), together.holds(b.pose.transform))
 
 
 def fit_from_axes(
@@ -230,7 +230,7 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
     """
     world, base = (_finite(np.asarray(points, float).reshape(-1, 3)) for points in (world, base))
     _check_points(world, base)
-    used = agreeing(world, base)
+    used = inliers(world, base)
     T_world_base = fit_rigid(world[used], base[used])
     _check_handed(world, base, T_world_base)
     _check_agreement(used, distances(T_world_base, world, base))
@@ -245,10 +245,10 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
     covariance = rigid_covariance(T_world_base, base[used], np.sqrt(variance))
     pose = UncertainTransform(T_world_base, covariance)
     touches = tuple(_touches(world, base, used, T_world_base))
-    scale = spread(base[used]) / spread(world[used])
+    scale = centroid_size(base[used]) / centroid_size(world[used])
     off = distances(fit_rigid(world[used], base[used] / scale), world[used], base[used] / scale)
     scatter = np.sqrt((off**2).sum() / (3 * count - 7))
-    scale_std = max(float(scatter), touch_std_m) / spread(world[used])
+    scale_std = max(float(scatter), touch_std_m) / centroid_size(world[used])
     return RobotToWorld(pose, touches, None, scale, tuple(_point_warnings(touches, scale, scale_std)))
 
 
@@ -266,7 +266,7 @@ def _check_points(world: FloatArray, base: FloatArray) -> None:
             f"expected three or more points, each stated and touched, got {len(world)} and {len(base)}; touch more"
         )
     for points, which in ((world, "stated"), (base, "touched")):
-        if in_line(points) or spread(points) < _MIN_LENGTH_M:
+        if in_line(points) or centroid_size(points) < _MIN_LENGTH_M:
             raise CalibrationError(
                 f"expected points spread over the table, got {which} points nearly in line or within "
                 f"{_MIN_LENGTH_M * 100:.0f} cm of one; touch others, 30 cm apart if you can"
@@ -283,7 +283,7 @@ def _check_upright(R_base_world: FloatArray) -> None:
 
 def _check_handed(world: FloatArray, base: FloatArray, T_world_base: FloatArray) -> None:
     mirrored = world * [1.0, 1.0, -1.0]
-    agree = agreeing(mirrored, base)
+    agree = inliers(mirrored, base)
     as_stated = np.median(distances(T_world_base, world, base))
     in_mirror = np.median(distances(fit_rigid(mirrored[agree], base[agree]), mirrored, base))
     if in_mirror < as_stated / 3 and as_stated > _MIRRORED_M:

@@ -24,7 +24,7 @@ from baggie.operator import Operator
 from baggie.options.commissioning import CameraToWorldOptions, RobotToWorldOptions
 from baggie.pictures import read_pictures
 from baggie.robot.arm import hand_pose
-from baggie.vision.targets import Seen, Target, parse_target, with_sag
+from baggie.vision.targets import Target, TargetDetection, parse_target, with_sag
 
 
 def calibrate_camera_to_world(
@@ -78,7 +78,7 @@ def calibrate_camera_to_world_live(bench: Bench, options: CameraToWorldOptions) 
 def _from_pictures(
     source: Path, target: Target, lens: CameraCalibration, depths: Sequence[NDArray[np.float32]] = ()
 ) -> CameraToWorld:
-    seen: dict[str, Seen] = {}
+    seen: dict[str, TargetDetection] = {}
     for name, picture in read_pictures(source):
         height, width = picture.shape[:2]
         lens.camera.check(CameraIdentity(lens.camera.name, width, height), "the camera's calibration")

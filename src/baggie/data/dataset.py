@@ -33,7 +33,7 @@ from baggie.data.files import (
     attempt_id_of,
     broken,
     check_complete,
-    read_json,
+    read_complete_json,
     read_parquet,
     write_all,
 )
@@ -127,7 +127,9 @@ def open_dataset(root: Path | str) -> Dataset:
     layout = Layout(Path(root))
     settings = DatasetSettings.read(layout)
     # `info.json` is written last: what it counts is complete, even while someone is recording.
-    info = read_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    info = (
+        read_complete_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    )
     episodes, frames = info["total_episodes"], info["total_frames"]
     check_complete(layout.data(episode) for episode in range(episodes))
     numbers = read_numbers(layout, _LISTED)[:frames]

@@ -132,7 +132,7 @@ def broken(path: Path, what: str) -> DataError:
     return DataError(f"{path} {what}: put it back from a copy, or collect again into another folder")
 
 
-def read_json(path: Path) -> Any:
+def read_complete_json(path: Path) -> Any:
     """The content of a JSON file. Raises DataError when it is missing or cut off."""
     try:
         return json.loads(path.read_bytes())
@@ -321,7 +321,7 @@ class DatasetSettings:
     def read(cls, layout: Layout) -> DatasetSettings:
         """The settings of a dataset on disk. Raises DataError where there is none."""
         _check_is_dataset(layout)
-        content = read_json(layout.collection)
+        content = read_complete_json(layout.collection)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise DataError(
                 f"{layout.root} is written in another format than {FORMAT}: "

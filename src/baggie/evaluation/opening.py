@@ -20,7 +20,7 @@ from baggie.geometry import FloatArray, PlanarPose
 from baggie.options.evaluating import EvaluateOptions
 from baggie.pictures import read_picture, same_shape
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy
-from baggie.policies.checkpoint import check_camera
+from baggie.policies.checkpoint import check_picture_shape
 from baggie.policies.exported import ExportedPolicy
 from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
@@ -124,7 +124,7 @@ def open_real_bench(options: EvaluateOptions) -> Bench:
         else:
             policy = open_policy(options.policy, options.calibration, options.device)
         if isinstance(policy, LearnedPolicy | ExportedPolicy):
-            check_camera(opened.camera.size, policy.camera_size)
+            check_picture_shape(opened.camera.size, policy.camera_size)
     except BaggieError:
         opened.close()
         raise

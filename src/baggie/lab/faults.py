@@ -71,7 +71,7 @@ class LabCamera:
 
     def _frame(self) -> bytes:
         if not self._last or time.monotonic() >= self._frozen_until:
-            picture = self._lab.darkroom.develop(self._lab.call(self._lab.moment))
+            picture = self._lab.render_process.render(self._lab.call(self._lab.render_state))
             self._last = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _QUALITY)[1].tobytes()
         return self._last
 

@@ -28,7 +28,7 @@ from baggie.sim.scene import ARM, arm_spec
 Difference = Callable[[FloatArray, FloatArray], FloatArray]
 
 
-class Trail:
+class CommandState:
     """The last command and its derivatives by finite differences: a client's plans go on from there."""
 
     def __init__(self, value: FloatArray, difference: Difference = np.subtract) -> None:
@@ -125,8 +125,8 @@ class LabRobot:
         self._hand_bodies = {world.model.body(ARM + name).id for name in _HAND}
         self._forces = deque[float](maxlen=round(FELT_OVER_S / STEP_S) | 1)
         self._tick = 0
-        self._joints = Trail(world.joints)
-        self._pose = Trail(np.eye(4), pose_difference)
+        self._joints = CommandState(world.joints)
+        self._pose = CommandState(np.eye(4), pose_difference)
         self._follows_pose = False
         self._last_command_tick = 0
         self._T_nominal_tool = np.eye(4)

@@ -272,12 +272,12 @@ class Shape:
         return (float(self.symmetry != ROUND), float(self.symmetry == LONG))
 
 
-def as_it_is(yaw: float, symmetry: int = SQUARE) -> Shape:
+def unchanged(yaw: float, symmetry: int = SQUARE) -> Shape:
     """An object that nothing was done to."""
     return Shape(yaw, symmetry, np.eye(2))
 
 
-def turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
+def randomly_turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
     """Half of the time turned by up to a quarter turn either way; `jacobian` `(2, 2)` is d table / d picture."""
     if rng.random() >= _TURNED:
         return shape

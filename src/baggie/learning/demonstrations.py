@@ -21,7 +21,7 @@ from baggie.data.files import CALIBRATION_FOLDER
 from baggie.data.summary import goal_of, shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, Grid, PlanarPose, rotation
-from baggie.learning.augmentation import as_it_is, object_mask, turned, with_shape, without_object
+from baggie.learning.augmentation import object_mask, randomly_turned, unchanged, with_shape, without_object
 from baggie.learning.samples import directions
 from baggie.learning.symmetry import Origin, check_symmetries, found_symmetries
 from baggie.policies.planning import GoalInput
@@ -103,7 +103,7 @@ def _turned(attempt: Attempt, rng: np.random.Generator) -> Attempt:
     pick, place = action.pick, action.place
     if np.isfinite(attempt.box_before).all():
         about = grid.to_pixels(pick.xy)[0]
-        shape = turned(rng, as_it_is(pick.yaw), grid.pixel_m * np.eye(2))
+        shape = randomly_turned(rng, unchanged(pick.yaw), grid.pixel_m * np.eye(2))
         mask = object_mask(before.color, attempt.box_before)
         table = without_object(before.color, mask)
         color, _ = with_shape(before.color, table, mask, about, shape)

@@ -47,7 +47,7 @@ _FEWEST = 10
 """Attempts without which nothing is said: a 90% radius needs at least nine."""
 
 
-def calibrate(
+def calibrate_radii(
     policy: KeypointPolicy, attempts: Sequence[Attempt], disagreement: Disagreement, opinions: int
 ) -> list[float] | None:
     """Set how many times the heat maps' spread the stated radii are, of pick and place, from held-out attempts.
@@ -237,9 +237,9 @@ class KeypointRecipe(Recipe):
         """Measure on held-out attempts how sure the policy may be; what there is to know about the labels."""
         assert isinstance(policy, KeypointPolicy)
         labels = self.labels
-        doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.doubts]
+        doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.outliers]
         return {
-            "radius_times_spread": calibrate(
+            "radius_times_spread": calibrate_radii(
                 policy, val, labels.disagreement, opinions=2 if labels.pairs else 1
             ),
             "labels_fused": {

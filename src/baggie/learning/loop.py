@@ -154,7 +154,7 @@ FILE = "resume.pt"
 
 
 @dataclass
-class State:
+class TrainingState:
     """All that changes during a training. Random numbers are none of it: every batch follows from seed and
     step.
     """
@@ -226,7 +226,7 @@ _MEASURED = 10
 """Looks at the validation attempts on the way: to be seen, never to choose by."""
 
 
-class Training:
+class TrainingLoop:
     """A recipe at work in a folder. `run` goes from the step last saved to the end and returns the seconds it
     took.
     """
@@ -255,7 +255,7 @@ class Training:
         if recipe.average:
             average = AveragedModel(network, multi_avg_fn=_averaging(steps), use_buffers=True)
         where = f"{accelerator.device.type} with {accelerator.num_processes} processes"
-        self._state = State(network, optimizer, average, where)
+        self._state = TrainingState(network, optimizer, average, where)
         self._state.load(folder)
         self._model, self._optimizer = accelerator.prepare(network, optimizer)
         self._save_now = Every(save_every_s)

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
-from baggie.learning.rearranged import Scene, rearranged, turn_about
+from baggie.learning.rearranged import MarkedMap, rearranged, turn_about
 from baggie.types import Image
-from baggie.vision.carried import Things, place_belongs_to
+from baggie.vision.carried import ObjectMap, place_belongs_to
 
 _GAP_M = 0.01
 """A gap is deeper."""
@@ -139,7 +139,7 @@ class MovedMaps:
         self._shown, self._moves, self._share, self._window = demonstrations, moves, rearranged, window
         self._places = demonstrations.places
         self._yaws: FloatArray = demonstrations.poses[:, [2, 5]]
-        self._known: dict[int, tuple[Things, NDArray[np.int32] | None]] = {}
+        self._known: dict[int, tuple[ObjectMap, NDArray[np.int32] | None]] = {}
         # What comes in from outside looks like the table, which is most of every map.
         self._table_color = np.median(demonstrations.colors[:, ::4, ::4], axis=(1, 2))
         self._table_height = np.median(demonstrations.heights[:, ::4, ::4], axis=(1, 2))
@@ -199,7 +199,7 @@ class MovedMaps:
         places, (things, at) = self._places[number], self._things(number)
         if at is None or not at.any():
             return None
-        scene = Scene(self._shown.colors[number], self._shown.heights[number], places, at)
+        scene = MarkedMap(self._shown.colors[number], self._shown.heights[number], places, at)
         table_move = self._random_move(rng, places[at == 0], size)
         found = None if table_move is None else rearranged(rng, scene, things, table_move, size)
         if found is None:
@@ -210,11 +210,11 @@ class MovedMaps:
         yaws = wrap_angle(self._yaws[number] + turns)
         return MovedMap(found.color, found.height, np.stack(there), yaws, middle)
 
-    def _things(self, number: int) -> tuple[Things, NDArray[np.int32] | None]:
+    def _things(self, number: int) -> tuple[ObjectMap, NDArray[np.int32] | None]:
         """What stands in demonstration `number`, and to which of it pick and place `(2,)` belong, if anything tells."""
         if number not in self._known:
             places, height = self._places[number], self._shown.heights[number]
-            things = Things.on(height)
+            things = ObjectMap.on(height)
             at: NDArray[np.int32] | None = things.at(places)
             carried = self._shown.carried[number] if self._shown.carried else None
             if carried is not None and at is not None:

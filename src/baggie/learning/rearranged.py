@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography
 from baggie.types import Image
-from baggie.vision.carried import Things, extent
+from baggie.vision.carried import ObjectMap, extent
 
 _WHOLE = 0.95
 """So much of a thing has to stay on the map."""
@@ -30,7 +30,7 @@ _TRIES = 40
 _ROLLS = 8
 
 
-class Scene(NamedTuple):
+class MarkedMap(NamedTuple):
     """A map with places marked in it."""
 
     color: Image
@@ -40,7 +40,7 @@ class Scene(NamedTuple):
     places: FloatArray
     """`(N, 2)`: (u, v) pixels."""
     at: NDArray[np.int32]
-    """`(N,)`: the thing at each place, as `Things.at` says; 0 is the table."""
+    """`(N,)`: the thing at each place, as `ObjectMap.at` says; 0 is the table."""
 
 
 class Rearranged(NamedTuple):
@@ -56,8 +56,8 @@ class Rearranged(NamedTuple):
 
 def rearranged(
     rng: np.random.Generator,
-    scene: Scene,
-    things: Things,
+    scene: MarkedMap,
+    things: ObjectMap,
     table_move: FloatArray,
     size: tuple[int, int] | None = None,
 ) -> Rearranged | None:
@@ -154,7 +154,7 @@ class _Table:
         part += share[..., None] * (moved - part)
 
 
-def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: Things) -> NDArray[np.float32]:
+def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: ObjectMap) -> NDArray[np.float32]:
     """The table without the things: where one was is a piece of it from elsewhere."""
     bare, missing = layers.copy(), things.surroundings > 0
     bare[missing] = np.median(layers[::4, ::4], axis=(0, 1))  # should nothing else be found

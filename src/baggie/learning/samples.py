@@ -26,13 +26,13 @@ from baggie.learning.augmentation import (
     SQUARE,
     Shape,
     WarpRange,
-    as_it_is,
     object_mask,
     random_light,
     random_look,
     random_warp,
+    randomly_turned,
     reshaped,
-    turned,
+    unchanged,
     with_shape,
     without_object,
 )
@@ -98,7 +98,7 @@ class Labels:
     symmetry: NDArray[np.int64]
     """`(N,)`: how often a turn the object looks the same: as its attempt says, else 2 where its box is clearly longer
     than wide and 4 where it is not."""
-    doubts: list[Outlier]
+    outliers: list[Outlier]
     """Worst first."""
     pairs: int
     """Pictures with a second opinion, from the release before."""
@@ -141,7 +141,7 @@ class Labels:
         yaw = np.array([action.pick.yaw for action in executed])
         in_picture, long = directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
         turned = np.abs(wrap_angle(in_picture - yaw, np.pi / 2))
-        doubts = [
+        outliers = [
             Outlier(attempts[i].attempt_id, ("pick", "place")[k], 1000 * float(off_said[i, k]))
             for i, k in zip(*np.nonzero(off_said > _DOUBTED * _usual(off_said)), strict=True)
         ]
@@ -156,7 +156,7 @@ class Labels:
                     for a, is_long in zip(attempts, long, strict=True)
                 ]
             ),
-            sorted(doubts, key=lambda doubt: -doubt.off_mm),
+            sorted(outliers, key=lambda outlier: -outlier.off_mm),
             len(later),
             disagreement,
             float(np.sqrt((shift**2).sum(axis=1).mean())),
@@ -327,13 +327,13 @@ class Samples:
     def _changed(self, rng: np.random.Generator, number: int) -> tuple[Image, Shape]:
         """A picture with its object turned, of another shape or looking otherwise, and the object's shape then."""
         picture, mask, table = self._pictures[number], self._masks[number], self._tables[number]
-        before = shape = as_it_is(float(self._yaw[number]), int(self._symmetry[number]))
+        before = shape = unchanged(float(self._yaw[number]), int(self._symmetry[number]))
         if mask is None or table is None:
             return picture, shape
         new_look = rng.random() < self._changes.new_looks
         if new_look and rng.random() < _RESHAPED:
             shape = reshaped(rng, shape, self._jacobian[number], LONG_RATIO)
-        shape = turned(rng, shape, self._jacobian[number])
+        shape = randomly_turned(rng, shape, self._jacobian[number])
         if shape is not before:
             picture, mask = with_shape(picture, table, mask, self._points[number, 0], shape)
         if new_look:

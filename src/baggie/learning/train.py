@@ -16,11 +16,11 @@ from accelerate import Accelerator
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
-from baggie.data.files import CALIBRATION_FOLDER, read_json
+from baggie.data.files import CALIBRATION_FOLDER, read_complete_json
 from baggie.data.summary import shown_goal
 from baggie.errors import BaggieError, DataError
 from baggie.learning.demonstrations import carried_in
-from baggie.learning.loop import Recipe, Training
+from baggie.learning.loop import Recipe, TrainingLoop
 from baggie.learning.split import Split
 from baggie.metrics import action_errors, references, summary, symmetry_of
 from baggie.operator import Line, Nobody, Operator, TerminalOperator
@@ -70,7 +70,7 @@ def train(
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
         operator.tell(Line(note))
-        finished: dict[str, Any] = read_json(options.out / METRICS)
+        finished: dict[str, Any] = read_complete_json(options.out / METRICS)
         return finished
     if None in (options.train, options.val):
         train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
@@ -87,7 +87,7 @@ def train(
         operator.tell(Line(squeezed))
     if note := recipe.note():
         operator.tell(Line(note))
-    training = Training(
+    training = TrainingLoop(
         recipe,
         options.out,
         steps=steps,

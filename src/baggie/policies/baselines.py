@@ -19,7 +19,7 @@ from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.options.values import COLOR_MASK, ORACLE
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
+from baggie.types import Goal, Observation, PickPlace, Plan, require_goal, require_observation
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
@@ -41,8 +41,8 @@ class ColorMaskPolicy(Policy):
         Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
         picture has another shape than those the map was fitted to.
         """
-        width, height = seen(observation).size
-        goal = marked(goal)
+        width, height = require_observation(observation).size
+        goal = require_goal(goal)
         u, v = goal.center
         if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
             raise BaggieError(

@@ -23,7 +23,7 @@ from baggie.policies.planning import (
     regression_goal_input,
     regression_plan,
 )
-from baggie.types import Goal, Observation, Plan, marked
+from baggie.types import Goal, Observation, Plan, require_goal
 
 
 class Graph:
@@ -88,7 +88,12 @@ class ExportedKeypoint(ExportedPolicy):
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan`, whose errors it raises."""
         return keypoint_plan(
-            self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
+            self.read,
+            self.view,
+            self.goal_input,
+            observation,
+            require_goal(goal),
+            camera_size=self.camera_size,
         )
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
@@ -111,7 +116,7 @@ class ExportedRegression(ExportedPolicy):
             self.goal_input,
             self.picture_size,
             observation,
-            marked(goal),
+            require_goal(goal),
             camera_size=self.camera_size,
         )
 

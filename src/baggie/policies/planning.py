@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
 from baggie.options.values import DrawnStyle
-from baggie.policies.checkpoint import as_trained
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, seen
+from baggie.policies.checkpoint import at_training_size
+from baggie.types import Goal, Image, Observation, PickPlace, Plan, require_observation
 from baggie.vision.draw import paint_goal, region_mask, without_card
 
 _STRIDE = 8
@@ -212,8 +212,8 @@ def keypoint_plan(
     the smaller of the two. Raises `BaggieError` when no bag is in sight, or when the goal, or what is pointed at, lies
     outside the part of the picture in which the training attempts took place.
     """
-    size = seen(observation).size
-    picture, goal = as_trained(observation, goal, view.picture, camera_size)
+    size = require_observation(observation).size
+    picture, goal = at_training_size(observation, goal, view.picture, camera_size)
     _check_view(view, goal.corners, "the goal", size)
     near = _ANYWHERE
     if goal.object_at is not None:
@@ -312,8 +312,8 @@ def regression_plan(
     """Pick and place positions; yaw 0 and confidence 1, as it has no word on either.
 
     `picture_size`: `(width, height)` of the training pictures, which a camera took at `camera_size`; pixels. Raises
-    `BaggieError` as `as_trained` does.
+    `BaggieError` as `at_training_size` does.
     """
-    image = regression_input(drawn, *as_trained(observation, goal, picture_size, camera_size))
+    image = regression_input(drawn, *at_training_size(observation, goal, picture_size, camera_size))
     pick, place = read(image[None])[0]
     return Plan(PickPlace(PlanarPose(*map(float, pick)), PlanarPose(*map(float, place))))

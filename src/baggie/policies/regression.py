@@ -27,7 +27,7 @@ from baggie.errors import DataError
 from baggie.options.values import DrawnStyle, Statistics
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.planning import GoalInput, regression_goal_input, regression_input, regression_plan
-from baggie.types import Goal, Image, Observation, Plan, marked
+from baggie.types import Goal, Image, Observation, Plan, require_goal
 
 __path__: list[str] = []
 """Lets Python look below here for what `baggie.moved` gives: `baggie.policies.regression.policy`, this file before."""
@@ -223,7 +223,7 @@ class RegressionPolicy(LearnedPolicy):
             self.goal_input,
             self.picture_size,
             observation,
-            marked(goal),
+            require_goal(goal),
             camera_size=self.camera_size,
         )
 

@@ -101,7 +101,7 @@ HORIZONTAL_FOV = np.deg2rad(90.0)
 
 
 @dataclass(frozen=True)
-class Light:
+class Lamp:
     """A lamp: where it hangs, where it points, how bright it is."""
 
     position: tuple[float, float, float]
@@ -120,7 +120,7 @@ class Cell:
     camera_rotation: FloatArray
     """`(3, 3)`, `R_base_camera` with OpenCV's axes: x right, y down, z into the picture."""
     lens: Lens
-    lights: tuple[Light, ...]
+    lights: tuple[Lamp, ...]
     ambient: float
     table_color: tuple[int, int, int]
     table_grain: float
@@ -161,7 +161,7 @@ def draw_cell(number: int, picture_size: tuple[int, int] = PICTURE_SIZE) -> Cell
     position = np.array([rng.uniform(0.54, 0.66), rng.uniform(-0.12, 0.12), rng.uniform(0.76, 0.86)])
     aim = np.array([0.52 + rng.uniform(-0.03, 0.03), rng.uniform(-0.04, 0.04), 0.0])
     lights = tuple(
-        Light(
+        Lamp(
             position=(rng.uniform(-0.2, 1.2), side * rng.uniform(0.5, 1.2), rng.uniform(1.6, 2.2)),
             direction=(rng.uniform(-0.2, 0.2), -side * rng.uniform(0.2, 0.5), -1.0),
             diffuse=rng.uniform(0.3, 0.45),
@@ -244,7 +244,7 @@ def draw_light(cell: Cell, light: LightRange, rng: np.random.Generator) -> tuple
         diffuse = (brightness - ambient) * share / -direction[2]
         x, y, z = position.tolist()
         to_x, to_y, to_z = direction.tolist()
-        lamps.append(Light((x, y, z), (to_x, to_y, to_z), float(diffuse), shadow=number == 0))
+        lamps.append(Lamp((x, y, z), (to_x, to_y, to_z), float(diffuse), shadow=number == 0))
         side = -side
     cast = rng.choice([-1.0, 1.0]) * rng.uniform(*light.cast)
     exposure = Exposure(float(rng.uniform(*light.gain)), (float(1 + cast), 1.0, float(1 - cast)))

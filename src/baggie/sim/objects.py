@@ -61,7 +61,7 @@ class Body(Protocol):
         ...
 
 
-class Thing(Protocol):
+class SceneObject(Protocol):
     """What a person would name: a bag, a block, a stand."""
 
     @property

@@ -25,7 +25,7 @@ DETAILED_GROUP, HULL_GROUP = 2, 3  # the geom groups of `fr3.xml`
 HIDDEN_GROUP = 5  # which no renderer draws
 
 
-class Scene(Protocol):
+class RenderedWorld(Protocol):
     """What a camera looks at: an `ArmWorld`, or a copy of one."""
 
     model: mujoco.MjModel
@@ -40,7 +40,7 @@ class Scene(Protocol):
 class OffScreen:
     """MuJoCo's renderer for a world, opened with the first picture: a process that takes none may be forked."""
 
-    def __init__(self, world: Scene, size: tuple[int, int], samples: int = 0) -> None:
+    def __init__(self, world: RenderedWorld, size: tuple[int, int], samples: int = 0) -> None:
         """`size`: `(width, height)` of all pictures, pixels; `samples` of each, which smooth edges.
 
         Raises `BaggieError` where nothing can render off screen.
@@ -85,7 +85,7 @@ class OffScreen:
 class CameraRenderer:
     """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
 
-    def __init__(self, world: Scene) -> None:
+    def __init__(self, world: RenderedWorld) -> None:
         """Raises `BaggieError` where nothing can render off screen."""
         self._world = world
         self._lens = world.cell.lens

@@ -17,7 +17,7 @@ from baggie.geometry import FloatArray, rigid
 from baggie.options.values import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.cell import Cell, table_top
-from baggie.sim.objects import CUP_RADIUS_M, Thing, paint
+from baggie.sim.objects import CUP_RADIUS_M, SceneObject, paint
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -167,7 +167,7 @@ _WORLD = """
 
 def build_model(
     cell: Cell,
-    things: Sequence[Thing],
+    things: Sequence[SceneObject],
     tool: Tool = "hand",
     distractors: Sequence[Distractor] = (),
     cameras: Sequence[DepthCamera] = (),

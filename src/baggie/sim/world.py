@@ -16,7 +16,7 @@ from baggie.geometry import FloatArray, PlanarPose, invert_transform
 from baggie.sim.arm_world import ArmWorld, Suction, upward_touch
 from baggie.sim.bag import Bag
 from baggie.sim.cell import Cell
-from baggie.sim.objects import Block, Body, Fixture, Pose, RigidBody, Thing, paint, reshape
+from baggie.sim.objects import Block, Body, Fixture, Pose, RigidBody, SceneObject, paint, reshape
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -56,7 +56,7 @@ class World(ArmWorld):
     def __init__(
         self,
         cell: Cell,
-        things: Sequence[Thing] = (Bag(),),
+        things: Sequence[SceneObject] = (Bag(),),
         tool: Tool = "hand",
         distractors: Sequence[Distractor] = (),
         cameras: Sequence[DepthCamera] = (),
@@ -150,7 +150,7 @@ class World(ArmWorld):
         mujoco.mj_forward(self.model, self.data)
         self.advance(max((body.settle_s for body in self.bodies.values()), default=0.0))
 
-    def reshape(self, things: Iterable[Thing]) -> None:
+    def reshape(self, things: Iterable[SceneObject]) -> None:
         """Give what has the names of these rigid things their sizes, weights and colours; `reset` has to follow.
 
         Raises `BaggieError` where nothing has this name, or what is of several boxes is not of those it was built of.

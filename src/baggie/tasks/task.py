@@ -12,7 +12,7 @@ from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.cell import Cell, draw_cell
-from baggie.sim.objects import Block, Fixture, Thing
+from baggie.sim.objects import Block, Fixture, SceneObject
 from baggie.sim.variety import Variety
 
 Tool = Literal["hand", "cup"]
@@ -54,7 +54,7 @@ class Stage:
 class Setting:
     """What a scene is drawn for."""
 
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """The task's own, or what a workcell's file says of them."""
     cell: Cell = field(default_factory=lambda: draw_cell(0))
     """The workcell as it is from day to day."""
@@ -70,7 +70,7 @@ class Setting:
 class Scene:
     """One drawing of a task."""
 
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """Those that play a part, as they are in this scene."""
     poses: Mapping[str, PlanarPose]
     """Where each of them is at first, by name; robot base frame."""
@@ -101,7 +101,7 @@ class Task:
     """What the arm carries."""
     view: Literal["camera", "height-map"]
     """What a policy sees: the overhead camera's picture, or the table from straight above with heights."""
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """All that any scene needs; a scene may give them another size and colour."""
     draw_scene: Callable[[np.random.Generator, Setting], Scene]
     """Draws one without collisions, where the camera sees it and the arm reaches, by this stream and setting alone."""

@@ -37,7 +37,7 @@ from scipy.stats import chi2
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Intrinsics
-from baggie.vision.targets import Seen
+from baggie.vision.targets import TargetDetection
 
 MIN_VIEWS = 3
 """Two motions; fewer leave the translation along the one axis open."""
@@ -220,7 +220,7 @@ class Reprojected:
 
 
 def reproject(
-    start: Pair, stand_mount: FloatArray, seen: Sequence[Seen], intrinsics: Intrinsics
+    start: Pair, stand_mount: FloatArray, seen: Sequence[TargetDetection], intrinsics: Intrinsics
 ) -> Reprojected:
     """The best transforms near the given ones, for poses `(N, 4, 4)`, metres, and the board as seen from each."""
     view = np.repeat(np.arange(len(seen)), [len(board.pixels) for board in seen])

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from baggie.calibration.files import CameraCalibrated, CameraIdentity
 from baggie.calibration.image_to_robot.fit import LensOrigin, solve
 from baggie.calibration.image_to_robot.projection import derivatives, heights_of, project, to_plane
-from baggie.calibration.image_to_robot.residuals import Comparison, Residuals, lattice, shared_area
+from baggie.calibration.image_to_robot.residuals import MapComparison, Residuals, lattice, shared_area
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, Rectangle, wrap_angle
 from baggie.pictures import same_shape
@@ -253,7 +253,7 @@ class ImageToRobot(CameraCalibrated):
         return np.column_stack([robot, np.full(len(robot), self.height_m)])
 
 
-def compare(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> Comparison:
+def compare_maps(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> MapComparison:
     """Compare two maps of one camera, whatever the size of their pictures, over an area, by default what both span.
 
     At the height of `a`, or, where only `a` can be carried to another height, of `b`. Raises `CalibrationError` for
@@ -263,7 +263,7 @@ def compare(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> 
     a, b = a.at_height(height), b.at_height(height).for_size(a.camera.size)
     area = area or shared_area(a.area, b.area)
     points = lattice(area, *_COMPARED)
-    return Comparison(area, height, points, (b.to_robot(a.to_pixels(points)) - points) * 1000)
+    return MapComparison(area, height, points, (b.to_robot(a.to_pixels(points)) - points) * 1000)
 
 
 _LIMIT_M = 0.002

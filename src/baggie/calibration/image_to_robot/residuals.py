@@ -83,7 +83,7 @@ def _rms(vectors: FloatArray) -> float:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MapComparison:
     """Where map `b` places what map `a` sees at each point of a grid, less where `a` places it."""
 
     area: Rectangle
@@ -183,7 +183,7 @@ def draw_residuals(image_to_robot: ImageToRobot, path: Path) -> None:
     write_figure(path, figure)
 
 
-def draw_comparison(comparison: Comparison, path: Path) -> None:
+def draw_comparison(comparison: MapComparison, path: Path) -> None:
     """Save a PNG of the same kind: how far, and which way, the second map places things from where the first does.
 
     Raises `WriteError` when it cannot be written.

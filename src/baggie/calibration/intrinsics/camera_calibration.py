@@ -332,7 +332,7 @@ _ARROW = 0.03
 """Of the picture's width: how long a large residual (the 95th percentile) is about drawn."""
 
 
-def draw_coverage(calibration: CameraCalibration, path: Path) -> None:
+def draw_corner_errors(calibration: CameraCalibration, path: Path) -> None:
     """Save a picture of all corners, a colour for each view, with enlarged arrows to where they should appear.
 
     Arrows that point all ways are noise; arrows that agree with their neighbours are what the lens model misses.

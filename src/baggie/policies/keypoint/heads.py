@@ -158,7 +158,7 @@ def phase_of(yaw: Tensor, jacobian: Tensor, symmetry: int = SQUARE) -> Tensor:
     return torch.nn.functional.normalize(torch.as_tensor(total), dim=-1)
 
 
-def yaw_of(phase: Tensor, jacobian: Tensor, symmetry: int = SQUARE, iterations: int = 10) -> Tensor:
+def yaw_of_phase(phase: Tensor, jacobian: Tensor, symmetry: int = SQUARE, iterations: int = 10) -> Tensor:
     """The inverse of `phase_of` by fixed-point iteration: yaw `(...)`, radians in [-π / s, π / s)."""
     yaw = torch.zeros_like(phase[..., 0])
     j = jacobian
@@ -178,19 +178,19 @@ _FAR = 4
 """A start with so many times another one's loss is none."""
 
 
-def apply(matrix: Tensor, points: Tensor) -> Tensor:
+def apply_homographies(matrix: Tensor, points: Tensor) -> Tensor:
     """Map points through homographies: `(..., 3, 3)`, `(..., 2)` -> `(..., 2)`."""
     mapped = (matrix[..., :2] @ points.unsqueeze(-1)).squeeze(-1) + matrix[..., 2]
     return mapped[..., :2] / mapped[..., 2:]
 
 
-def jacobian(matrix: Tensor, points: Tensor) -> Tensor:
-    """Derivative of `apply` at the points: `(..., 3, 3)`, `(..., 2)` -> `(..., 2, 2)`.
+def homography_jacobian(matrix: Tensor, points: Tensor) -> Tensor:
+    """Derivative of `apply_homographies` at the points: `(..., 3, 3)`, `(..., 2)` -> `(..., 2, 2)`.
 
     For p' = N / D it is (dN - p' dD) / D, with the rows of the matrix as dN and dD.
     """
     denominator = (matrix[..., 2, :2] * points).sum(dim=-1) + matrix[..., 2, 2]
-    mapped = apply(matrix, points)
+    mapped = apply_homographies(matrix, points)
     numerator = matrix[..., :2, :2] - mapped.unsqueeze(-1) * matrix[..., 2:, :2]
     return numerator / denominator[..., None, None]
 
@@ -220,7 +220,7 @@ class PlanarMap(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """`(..., 2)` normalised picture coordinates -> `(..., 2)` metres."""
-        return apply(self.matrix(), self._straighten(points))
+        return apply_homographies(self.matrix(), self._straighten(points))
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Derivative of `forward`: `(..., 2)` -> `(..., 2, 2)`."""
@@ -230,14 +230,14 @@ class PlanarMap(nn.Module):
         outer = offset.unsqueeze(-1) * offset.unsqueeze(-2)
         identity = torch.eye(2, dtype=points.dtype, device=points.device)
         lens = identity * (1 + k1 * r2 + k2 * r2**2) + outer * (2 * k1 + 4 * k2 * r2)
-        plane = jacobian(self.matrix(), self._straighten(points))
+        plane = homography_jacobian(self.matrix(), self._straighten(points))
         return torch.matmul(plane, lens)
 
     def inverse(self, xy: Tensor, iterations: int = 8) -> Tensor:
         """`(..., 2)` metres -> `(..., 2)` normalised picture coordinates, by Newton's method from the
         homography's.
         """
-        points = apply(torch.linalg.inv(self.matrix()), xy)
+        points = apply_homographies(torch.linalg.inv(self.matrix()), xy)
         for _ in range(iterations):
             residual = (xy - self(points)).unsqueeze(-1)
             points = points + torch.linalg.solve(self.jacobian(points), residual).squeeze(-1)

@@ -19,23 +19,24 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.geometry import FloatArray, apply_homography
 from baggie.options.values import Backbone
-from baggie.policies.keypoint import heads as planar_map
 from baggie.policies.keypoint.heads import (
     CHANNELS,
     LONG,
     SQUARE,
     PlanarMap,
+    apply_homographies,
     edge_phases,
     heat_maps,
+    homography_jacobian,
     local_soft_argmax,
     near_only,
     squared_distances,
-    yaw_of,
+    yaw_of_phase,
 )
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.planning import CELL, Float32, GoalInput, Reading, View, keypoint_plan, to_picture
 from baggie.policies.regression import IMAGENET_MEAN, IMAGENET_STD, ResNet18
-from baggie.types import Goal, Observation, Plan, marked
+from baggie.types import Goal, Observation, Plan, require_goal
 
 
 class Features(NamedTuple):
@@ -57,9 +58,13 @@ class SmallFeatures(nn.Module):
         super().__init__()
         double = 2 * width
         self.sizes = (width, double, double)
-        self.stem = block(channels * CELL**2, width)
-        self.down1 = nn.Sequential(block(width, double), block(double, double))
-        self.down2 = nn.Sequential(block(double, double), block(double, double), block(double, double))
+        self.stem = convolution_block(channels * CELL**2, width)
+        self.down1 = nn.Sequential(convolution_block(width, double), convolution_block(double, double))
+        self.down2 = nn.Sequential(
+            convolution_block(double, double),
+            convolution_block(double, double),
+            convolution_block(double, double),
+        )
 
     def forward(self, images: Tensor) -> Features:
         """`(B, C, H, W)`, values -0.5 to 0.5."""
@@ -82,7 +87,7 @@ class ResNetFeatures(nn.Module):
         resnet = ResNet18()
         self.conv1, self.bn1, self.maxpool = resnet.conv1, resnet.bn1, resnet.maxpool
         self.layer1, self.layer2 = resnet.layer1, resnet.layer2
-        self.beside_color = block((channels - 3) * CELL**2, 64) if channels > 3 else None
+        self.beside_color = convolution_block((channels - 3) * CELL**2, 64) if channels > 3 else None
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1) - 0.5, persistent=False)
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1), persistent=False)
 
@@ -101,7 +106,7 @@ class ResNetFeatures(nn.Module):
         return Features(fine, middle, self.layer2(middle))
 
 
-def block(inputs: int, outputs: int) -> nn.Sequential:
+def convolution_block(inputs: int, outputs: int) -> nn.Sequential:
     """A 3 x 3 convolution, batch normalisation, ReLU."""
     convolution = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
@@ -168,11 +173,11 @@ class KeypointNet(nn.Module):
             nn.Identity() if size == wanted else nn.Conv2d(size, wanted, 1, bias=False)
             for size, wanted in zip(self.features.sizes, (width, double, double), strict=True)
         )
-        self.up1 = block(double, double)
+        self.up1 = convolution_block(double, double)
         self.narrow = nn.Conv2d(double, width, 1, bias=False)
-        self.up0 = block(width, width)
+        self.up0 = convolution_block(width, width)
         self.heat = nn.Conv2d(width, 2, 1)
-        self.phase = nn.Sequential(block(double + CHANNELS, double), nn.Conv2d(double, 4, 1))
+        self.phase = nn.Sequential(convolution_block(double + CHANNELS, double), nn.Conv2d(double, 4, 1))
         self.to_robot = PlanarMap()
         self.radius = Radius()
         for parameter in self.parameters():
@@ -203,8 +208,8 @@ class KeypointNet(nn.Module):
         """Points and poses from what `fields` gives."""
         cells = self.locate(logits)
         matrix = to_picture.unsqueeze(1)
-        points = planar_map.apply(matrix, cells)
-        jacobian = self.to_robot.jacobian(points) @ planar_map.jacobian(matrix, cells)
+        points = apply_homographies(matrix, cells)
+        jacobian = self.to_robot.jacobian(points) @ homography_jacobian(matrix, cells)
         return Keypoints(self.to_robot(points), jacobian, logits, cells, field)
 
     def locate(self, logits: Tensor) -> Tensor:
@@ -291,8 +296,8 @@ def _yaw(phases: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor]:
     is_long = long.norm() > _SURE_LONG
     is_square = square.norm() > _SURE_SQUARE
     as_long, as_square = (
-        yaw_of(long, jacobian, LONG),
-        yaw_of(square, jacobian, SQUARE),
+        yaw_of_phase(long, jacobian, LONG),
+        yaw_of_phase(square, jacobian, SQUARE),
     )
     zero = torch.zeros_like(as_long)
     yaw = torch.where(is_long, as_long, torch.where(is_square, as_square, zero))
@@ -337,7 +342,12 @@ class KeypointPolicy(LearnedPolicy):
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place; see `keypoint_plan`, whose errors it raises."""
         return keypoint_plan(
-            self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
+            self.read,
+            self.view,
+            self.goal_input,
+            observation,
+            require_goal(goal),
+            camera_size=self.camera_size,
         )
 
     def reader(self) -> KeypointReader:

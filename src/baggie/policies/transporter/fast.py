@@ -37,7 +37,7 @@ _HEIGHT_M = 0.05
 """A thing of this height is as different from the table as black is from white."""
 
 
-class Scene(NamedTuple):
+class MapFeatures(NamedTuple):
     """What is known of B maps after one look."""
 
     maps: Tensor
@@ -70,7 +70,7 @@ class Trunk(nn.Module):
         self.up0 = convolution(middle, width, size=1)
         self.join0 = Residual(width)
 
-    def forward(self, color: Tensor, height: Tensor) -> Scene:
+    def forward(self, color: Tensor, height: Tensor) -> MapFeatures:
         """`(B, 3, H, W)` uint8 and `(B, H, W)` metres, of any size."""
         maps = torch.cat([color.float() / 127.5 - 1, height.unsqueeze(1) / _HEIGHT_M], dim=1)
         rows, columns = maps.shape[-2:]
@@ -82,7 +82,7 @@ class Trunk(nn.Module):
         deep = self.deep(F.relu(self.down2(middle)))
         middle = self.join1(middle + _enlarged(self.up1(deep)))
         features = self.join0(fine + _enlarged(self.up0(middle)))
-        return Scene(maps, features[..., : -(-rows // CELL), : -(-columns // CELL)].contiguous())
+        return MapFeatures(maps, features[..., : -(-rows // CELL), : -(-columns // CELL)].contiguous())
 
 
 class Residual(nn.Module):
@@ -136,7 +136,7 @@ class PickMap(nn.Module):
         super().__init__()
         self.logits = convolution(width, CELL**2, size=1, gain=0.1)
 
-    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         rows, columns = scene.maps.shape[-2:]
         logits = F.pixel_shuffle(self.logits(scene.features), CELL)[..., :rows, :columns]
@@ -156,7 +156,7 @@ class PickAngle(nn.Module):
         self.register_buffer("angles", turn_angles(config.bins(self.fold), self.fold), persistent=False)
         self.angles: Tensor
 
-    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
         """Of the yaw at the point: `(B, R, 1, 1)`."""
         coefficients = self.read(at_points(scene.features, about.place, CELL))
         coefficients = coefficients.view(-1, self.orders, 2, 1, 1)
@@ -224,7 +224,7 @@ class CoarsePlace(nn.Module):
         bins = max(3, config.bins(config.symmetry) // _COARSE_STEP) if config.symmetry else 1
         self.match = Matching(config, width, bins, _COARSE_CROP)
 
-    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         first = (CELL - 1) / 2
         logits = self.match(scene.features, (pick.place - first) / CELL, scene.features)
@@ -244,7 +244,7 @@ class FinePlace(nn.Module):
         self.conv2 = convolution(_FINE_WIDTH, _FINE_WIDTH)
         self.match = Matching(config, _FINE_WIDTH, config.bins(config.symmetry), _CROP)
 
-    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
         """Within 6 pixels of what it is about."""
         size = _CROP + 2 * (_SEARCH + _RIM) + 1
         batch, centre = len(pick.place), about.place.round()
