@@ -1,7 +1,4 @@
-"""Pictures and outlines as people have them, made into what everything here works with.
-
-Pictures on disk: one, a folder of them, or the frames of a video.
-"""
+"""Pictures and outlines as people have them, in memory or on disk, made into what everything here works with."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The pose of a camera from points of known position in one picture, robustly and with its uncertainty.
+"""Rigid transforms with their uncertainty, and a camera's pose from points of known position in one picture.
 
-Of a flat target two poses explain what is seen: which is the true one, by the corners, or by depth.
-
-Rigid transforms that know how sure they are.
+Of a flat target two poses explain what is seen; the corners, or depth, say which is the true one.
 
 A true transform is `R = exp(w) R0`, `t = t0 + d` with a small error (w, d), radians and metres, in the frame the
 transform maps *to*. Its covariance is `(6, 6)`, w first. Errors travel through inversion and composition to first

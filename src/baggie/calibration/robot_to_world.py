@@ -1,10 +1,9 @@
-"""Where the world is for a robot, from points of it that the arm's tool was led or driven to; and so the camera.
+"""The pose of the world for a robot, from points of it that the arm's tool was led or driven to; and so the camera's.
 
 Either its origin, a point on its x axis and one on its y axis, or any points whose place in the world is known. The
 published system builds its matrix from the three points' differences as they are, so that its third column is no
-rotation's; here it is a proper one, right-handed.
-
-With it a camera that knows the world is somewhere for the robot: the two calibrations composed.
+rotation's; here it is a proper one, right-handed. Composed with a camera's pose in the world it gives the camera's pose
+for the robot.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Reading attempts back: numbers at once, pictures when they are asked for. Reading never writes.
 
-The numbers of all attempts at once.
-
-They lie in as many small files as there are attempts, each slow to open. `attempts/index.parquet` gathers
+The numbers lie in as many small files as there are attempts, each slow to open. `attempts/index.parquet` gathers
 them. It is a cache: records never change, so a row of it is right as long as its record exists, and what it
 lacks is read from the records themselves. Only writers write it.
 """

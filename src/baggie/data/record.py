@@ -1,8 +1,7 @@
 """An attempt as one row of our own parquet: every number exact, every picture but the one before.
 
-The picture before lies in the LeRobot part of the dataset, once.
-
-Pictures as PNG and back: colour exactly, depth to the millimetre, heights to a hundredth of one.
+The picture before lies in the LeRobot part of the dataset, once. Pictures are PNGs: colour exact, depth to the
+millimetre, heights to a hundredth of one.
 """
 
 from __future__ import annotations

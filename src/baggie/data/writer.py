@@ -1,9 +1,4 @@
-"""Recording attempts, one at a time, so that none is lost or doubled whatever happens.
-
-What a writer remembers of the attempts on disk.
-
-What a dataset holds, made true again after its writer was killed.
-"""
+"""Recording attempts one at a time, so that none is lost or doubled whatever happens, and repair after a kill."""
 
 from __future__ import annotations
 

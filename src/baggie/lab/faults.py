@@ -1,7 +1,4 @@
-"""What can go wrong in the lab on demand, by name.
-
-The lab's camera on the network: frames of the scene as it is now, one at a time, drawn only when somebody looks.
-"""
+"""Faults that the lab can be told to have, by name, and its camera's stream, which some of them disturb."""
 
 from __future__ import annotations
 

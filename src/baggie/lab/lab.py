@@ -1,6 +1,6 @@
 """The virtual lab: a simulated workcell in which time goes on by itself, reached as a real robot is.
 
-Where the lab's pictures are drawn: in a process of its own, because MuJoCo's renderer lets no other thread run.
+Its pictures are drawn in a process of their own, because MuJoCo's renderer lets no other thread run.
 """
 
 from __future__ import annotations

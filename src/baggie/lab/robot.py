@@ -1,11 +1,8 @@
 """The arm of a simulated world, as a Franka robot is: commanded each millisecond, with Franka's words for its state.
 
 It has what `franky-sim`'s server calls on a robot. Commands become targets of the world's own position servos; physics
-runs in steps of several milliseconds, so that a world with a soft bag in it keeps up.
-
-What is commanded a thousand times a second, and how fast it changes: positions, velocities, accelerations.
-
-The simulated hand, as Franka's own controller leads it: towards a width, at a speed, with a force.
+runs in steps of several milliseconds, so that a world with a soft bag in it keeps up. The hand moves as Franka's own
+controller leads it: towards a width, at a speed, with a force.
 """
 
 from __future__ import annotations

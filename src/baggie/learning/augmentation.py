@@ -1,10 +1,7 @@
-"""Random changes to pictures that leave the label known: warps of the plane, and of the light.
+"""Random changes to pictures that leave the label known: of the view, the light, the looks and the object's shape.
 
-Random changes to what things look like: cloth, table, and clutter that has nothing to do with the task.
-
-The object keeps its shape and its shading, so a policy has to learn what a bag is, and not that bags are red.
-
-Random changes to the shape of what is to be picked: turned, larger, longer or round, with its middle kept in place.
+Looks are cloth, table and clutter; the object keeps its shading, so a policy has to learn what a bag is, and not that
+bags are red. Of another shape, or turned, an object keeps its middle in place.
 
 Objects that were always put down square to the table would teach a network to look at the table's grain, and objects of
 one shape that everything else is none.

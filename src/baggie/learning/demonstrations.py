@@ -1,7 +1,4 @@
-"""Demonstrations on height maps: all that `transporter` learns from, in memory.
-
-Recordings of one camera as `transporter` learns from them: rectified through the map that the collector fitted.
-"""
+"""Demonstrations that `transporter` learns from, in memory: height maps, or one camera's pictures rectified to such."""
 
 from __future__ import annotations
 

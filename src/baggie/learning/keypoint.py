@@ -1,6 +1,6 @@
 """How the `keypoint` policy is taught: warped pictures, exchanged goals, labels in robot coordinates.
 
-How sure a policy may be, in metres: measured on attempts it did not learn from.
+How sure it may be, in metres, is measured on attempts it did not learn from.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
-"""The training loop: one for every policy that learns.
+"""The training loop of every policy that learns, and the recipe that makes batches and says what is minimised.
 
-What must not get in a training's way: preparing data, Ctrl-C, numbers that are nearly nothing.
-
-What the training loop needs to know of a policy: how batches are made and what is minimised.
-
-The state of a training on disk: a kill costs what was learned since the last save, and nothing else.
+Batches are prefetched in threads. A kill costs what was learned since the last save, and nothing else.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Scenes turned and shifted on the table, or rearranged, with the labels carried along exactly.
+"""Height maps to learn from: turned, shifted or rearranged, as other cameras and lamps would show them, labels exact.
 
-Height maps as other cameras and other lamps would show them: gaps that nobody looks into, shadows cast elsewhere.
-
-Cameras look from aside, so what they see between things depends on which way these stand. From one demonstration a
-network takes that, and which way the shadow fell, for the task.
+Gaps are where nobody looks into, shadows are cast elsewhere. Cameras look from aside, so what they see between things
+depends on which way these stand. From one demonstration a network takes that, and which way the shadow fell, for the
+task.
 """
 
 from __future__ import annotations

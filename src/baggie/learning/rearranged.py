@@ -1,4 +1,4 @@
-"""Scenes rearranged: everything that stands alone on the table moved by itself, with the labels carried along exactly.
+"""Rearrange height maps: each object that stands alone moves by itself, and the labels move along exactly.
 
 From few demonstrations a network learns by heart which thing lay beside which. What holds in every scene is how what is
 picked belongs on what it is placed on; rearranged at random, nothing else is left to learn.

@@ -1,7 +1,4 @@
-"""Which attempts teach and which measure: by a rule, before anything is trained.
-
-Which episodes teach and which measure, for policies of tasks that take several attempts.
-"""
+"""Split attempts, or whole episodes of several steps, into those that teach and those that measure, by a rule."""
 
 from __future__ import annotations
 

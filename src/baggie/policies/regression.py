@@ -1,10 +1,9 @@
-"""The published regressor: a ResNet-18 that turns a picture with the goal painted in it into two numbers.
+"""The published regressor: a ResNet-18 turns a picture with the goal painted in it into x and y, of pick and of place.
 
 It is the baseline to beat, kept as published: 7.8 cm off when picking, 5.8 cm when placing.
 
-ResNet-18, with the parameter names under which its ImageNet weights are published.
-
-Source: K. He, X. Zhang, S. Ren, J. Sun, "Deep residual learning for image recognition", CVPR 2016.
+The ResNet-18 has the parameter names under which its ImageNet weights are published. Source: K. He, X. Zhang, S. Ren,
+J. Sun, "Deep residual learning for image recognition", CVPR 2016.
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@
 
 for the episode 0 with the seed 9000. They are pickles, which are read without running them.
 
-Pickles of plain data and nothing else: reading one runs nothing of what is in it.
-
 A pickle is a program, and `pickle.load` calls whatever it names. The way out is the one of Python's documentation
 ("Restricting Globals"): names are looked up by us. The few by which numpy stores arrays are known here, and even they
 stand for objects of our own that check every part, so a file can neither reach numpy's `dtype` and `ndarray` nor

@@ -1,7 +1,4 @@
-"""The bean bag: a soft pillow as a MuJoCo flex.
-
-One bag in the running simulation: where its points are, and how to lay it somewhere.
-"""
+"""The bean bag: a soft pillow as a MuJoCo flex, and its body in a running simulation."""
 
 from __future__ import annotations
 

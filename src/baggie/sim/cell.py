@@ -1,10 +1,6 @@
 """A cell: one concrete workcell, with its camera, lens, lights and table. `--cell C` draws one.
 
-Colours by hue, so that things can be told apart by it.
-
-Procedural textures: a table top with grain.
-
-Draws the light over a table: lamps, ambient light, exposure and colour cast.
+Colours are drawn by hue, so that things can be told apart by it; the table top is a procedural texture with grain.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pictures of the world: what the workcell's camera records, and a film of the arm at work.
-
-Cameras with depth in the simulated world: what they see of the table, the arm left out.
-"""
+"""Renderers of the world: the workcell's camera, cameras with depth that leave the arm out, a film of the arm."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Builds the MuJoCo model: the Franka arm, a table and all that lies on it, printed sheets, lamps and camera.
-
-A suction cup on a stem, in the place of the arm's hand.
-"""
+"""Build the MuJoCo model: the arm with its hand or a suction cup, a table and all that lies on it, lamps and camera."""
 
 from __future__ import annotations
 

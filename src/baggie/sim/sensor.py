@@ -1,7 +1,4 @@
-"""What a camera's sensor does to light: exposure, white balance, vignetting, noise, 8 bits.
-
-A lens that bends the picture, as OpenCV's model has it.
-"""
+"""A camera's lens, OpenCV's model of it, and its sensor: exposure, white balance, vignetting, noise, 8 bits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The running simulation of the arm and what lies on the table: any number of things, soft and rigid.
+"""The running simulation of the arm and what lies on the table: any number of objects, soft and rigid.
 
-With what is printed and laid there, a firm block for an arm to feel, and a table top that can be knocked.
+There are printed sheets, a firm block for an arm to feel, and a table top that can be knocked, too.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What one step of a demonstration carried, told from the height maps before and after it.
 
 Where a map is lower afterwards, something stood; where it is higher, that came to lie. This tells a thing from what it
-touched, and its middle from the point at which somebody happened to pick it.
-Its first half tells apart what stands on a table, by the table's height map.
+touched, and its middle from the point at which somebody happened to pick it. What stands on a table is told apart by
+its height map.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""Notices from pictures alone that the camera or the table was bumped: the still background is no longer in its place.
+"""Drift of the camera or the table, noticed from pictures alone: the still background is no longer in its place.
 
 Landmarks are small tiles of a reference picture with something to see in them: wood grain, edges, cables, print. Bags
 and the arm move between pictures, too, but cover the lesser part of them.
 
-Lays one picture over another: the homography between them, by all pixels of many small tiles together.
-
-Inverse compositional alignment (Baker & Matthews, "Lucas-Kanade 20 Years On", 2004) with the tiles weighted by Tukey's
-biweight of their misfit: where something else has come into the picture, a whole tile stops to count. Fitted together,
-tiles of wood grain that say how far they moved across the grain and nothing along it make up for one another.
+One picture is laid over another by the homography between all pixels of many small tiles together: inverse
+compositional alignment (Baker & Matthews, "Lucas-Kanade 20 Years On", 2004) with the tiles weighted by Tukey's biweight
+of their misfit: where something else has come into the picture, a whole tile stops to count. Fitted together, tiles of
+wood grain that say how far they moved across the grain and nothing along it make up for one another.
 """
 
 from __future__ import annotations

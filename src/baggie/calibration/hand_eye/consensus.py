@@ -1,6 +1,6 @@
-"""Which views of a hand-eye recording agree with each other, and what is wrong where too few do.
+"""Which views of a hand-eye recording agree with each other, what is wrong where too few do, and the lens's share.
 
-What the lens's own uncertainty does to a hand-eye calibration: the same error in every view, which no view shows.
+The lens's own uncertainty is the same error in every view, which no view shows, and so is added to the fit's.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ Points the arm itself took to known positions tell where the camera is (`fit.py`
 from points at two heights, the map is good for every height; from points at one height it is a homography, good for
 that height alone. It knows how far off it may be: see `covariance_at`.
 
-Is the marker where the hand is said to hold it?
-
-Carried with the hand always turned the same way, a marker that sits 10 mm further forward than stated only shifts the
-whole map by 10 mm, and every residual looks perfect. Turned this way and that, it cannot.
+Whether the marker is where the hand is said to hold it is checked, too. Carried with the hand always turned the same
+way, a marker that sits 10 mm further forward than stated only shifts the whole map by 10 mm, and every residual looks
+perfect. Turned this way and that, it cannot.
 """
 
 from __future__ import annotations

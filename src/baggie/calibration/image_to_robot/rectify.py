@@ -1,9 +1,8 @@
 """One camera's picture as if taken from straight above, through its map to the robot.
 
 Every pixel of a grid over the table looks up where the camera sees that place, on the one plane the map is right for.
-What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera.
-
-A card lies on the table; the outline of an object that rests on it is seen higher up, and so somewhere else.
+What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera. So the
+outline of an object that rests on a card is seen elsewhere than the card.
 """
 
 from __future__ import annotations

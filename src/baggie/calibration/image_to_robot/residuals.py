@@ -1,9 +1,4 @@
-"""What a map from the picture to the robot makes of the points it was fitted to.
-
-How far apart two maps from the picture to the robot place the same pixel.
-
-A map's residuals, or its differences from another map, over the workspace seen from above.
-"""
+"""Residuals of a map from the picture to the robot, and its differences from another map: numbers and drawings."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
 """A camera's matrix and lens distortion from pictures of a board.
 
 Wrong corners and views are thrown out, no more distortion terms are taken than views the fit has not seen justify,
-and the result says how sure it is.
-
-How many distortion terms the pictures justify, judged on views the fit has not seen, and what doubt remains.
+and the result says how sure it is and what doubt remains.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 A board bent by a millimetre, taken for flat, makes the focal length wrong by a hundredth, and the corners by so little
 that nobody notices. So its sag is fitted along, as mrcal does (`cv2.calibrateCameraRO` frees every point: Strobl &
 Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", 2011, and wants all in every view).
-
-A lens and the poses of a flat board, by OpenCV: where the bundle starts.
+It starts from OpenCV's lens and poses of a flat board.
 """
 
 from __future__ import annotations

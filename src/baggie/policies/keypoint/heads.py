@@ -1,20 +1,17 @@
-"""The learned map from the picture to the robot's plane: `g` of the calibration-free augmentation.
+"""Heads of the `keypoint` network: points from heat maps, yaws from phases of edges, and the map to the robot's plane.
 
-Points from heat maps, differentiably.
+The learned map is `g` of the calibration-free augmentation.
 
-Which way edges run: what the yaw of an object is made of, computed rather than learned.
+Which way edges run is computed rather than learned. A phase of angular order s says exp(i s θ) of directions θ that
+look the same s times a turn: order 2 for edges, whose two sides are alike, and order 4 for the sides of a square.
+Averaged over edges it is a sum of unit vectors, as in the structure tensor (J. Bigün and G. Granlund, "Optimal
+orientation detection of linear symmetry", ICCV 1987) and its higher orders. A network that has to find this by itself
+under random rotations may not in some hundred batches.
 
-A phase of angular order s says exp(i s θ) of directions θ that look the same s times a turn: order 2 for edges, whose
-two sides are alike, and order 4 for the sides of a square. Averaged over edges it is a sum of unit vectors, as in the
-structure tensor (J. Bigün and G. Granlund, "Optimal orientation detection of linear symmetry", ICCV 1987) and its
-higher orders. A network that has to find this by itself under random rotations may not in some hundred batches.
-
-Angles as phases: no seam, and no ambiguity for things that look the same several times a turn.
-
-The yaw ψ of an object that looks the same s times a turn is the phase exp(i s θ) of its direction θ in the picture.
-A map with Jacobian J from picture to robot turns directions: a side at ψ in the robot's frame lies along
-J⁻¹ (cos ψ, sin ψ) in the picture. A tilted camera shears the sides of a square, so both sides' phases are averaged;
-of a long thing the long side counts.
+Angles as phases have no seam, and no ambiguity for things that look the same several times a turn. The yaw ψ of an
+object that looks the same s times a turn is the phase exp(i s θ) of its direction θ in the picture. A map with Jacobian
+J from picture to robot turns directions: a side at ψ in the robot's frame lies along J⁻¹ (cos ψ, sin ψ) in the picture.
+A tilted camera shears the sides of a square, so both sides' phases are averaged; of a long thing the long side counts.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""`fast`: where to put what was picked, turned by how much. Coarse over the whole map, then to the pixel near by.
+"""The networks of the preset `fast`: one small U-Net whose features serve the pick, the place and both angles.
 
-Both looks add two scores of a place y and an angle a: how well the surroundings of the pick, turned by a, correlate
-with those of y (Zeng et al., CoRL 2020, section 3.2), which is right about the place, and the phases of `spatial.py`,
-which are right about the angle.
-
-What `fast` sees of a map: one small U-Net whose features serve the pick, the place and both angles.
-
-`fast`: where to pick, from nothing but the map, and at which yaw, from what is there.
+The pick's pixel follows from nothing but the map, its yaw from what is there. The place is coarse over the whole map,
+then to the pixel near by. Both looks add two scores of a place y and an angle a: how well the surroundings of the pick,
+turned by a, correlate with those of y (Zeng et al., CoRL 2020, section 3.2), which is right about the place, and the
+phases of `spatial.py`, which are right about the angle.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Transporter Networks, whichever preset: one look at the maps, then looks for the pick, then looks for the place.
 
-The published networks: a residual network to one logit a pixel for the pick, and two to correlate for the place.
-
+The preset `paper` is here: a residual network to one logit a pixel for the pick, and two to correlate for the place.
 Source: A. Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020,
 section 3; widths, normalisation and the order of steps (crop, turn, then look) as in the code published with it.
 """

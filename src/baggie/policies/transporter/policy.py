@@ -1,6 +1,6 @@
 """The `transporter` policy: from the table as seen from straight above, or rectified to that, to pick and place.
 
-Maps turned by quarter turns, and decisions about them turned back: exactly, as no pixel falls between others.
+Where it is unsure it looks at the map turned by quarter turns, too: exactly, as no pixel falls between others.
 """
 
 from __future__ import annotations

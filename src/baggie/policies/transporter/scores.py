@@ -3,10 +3,9 @@
 A decision is a chain of such looks, from coarse to fine: each is about where the one before it ended. All that learning
 and planning need to know of a look is here, so that presets may differ in how many they take.
 
-What a network is to say about a true place and angle, and what place and angle it says.
-
-Both are distributions over R rotation bins, H rows and W columns at once. Bin r is the angle 2 π r / R; angles turn as
-in `rotation`. Truths between pixels and between bins are not rounded.
+What a network is to say about a true place and angle, and what it says, are distributions over R rotation bins, H rows
+and W columns at once. Bin r is the angle 2 π r / R; angles turn as in `rotation`. Truths between pixels and between
+bins are not rounded.
 """
 
 from __future__ import annotations
