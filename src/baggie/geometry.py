@@ -114,7 +114,7 @@ class ToolPose:
 
     @property
     def planar(self) -> PlanarPose:
-        """The same pose without its height."""
+        """The pose on the table, without its height."""
         return PlanarPose(self.x, self.y, self.yaw)
 
     @property

@@ -45,7 +45,7 @@ class Intrinsics:
     """`(D,)` coefficients in OpenCV's order; empty for none."""
 
     def scaled(self, width: int, height: int) -> Intrinsics:
-        """The same camera with its pictures resized (pixel centres at half-integers + 0.5 convention)."""
+        """Give the camera for its pictures resized, pixels (pixel centres at half-integers + 0.5 convention)."""
         sx, sy = width / self.width, height / self.height
         matrix = self.matrix.copy()
         matrix[0] *= sx
@@ -138,7 +138,7 @@ class Observation:
         return self.color.shape[1], self.color.shape[0]
 
     def resized(self, width: int, height: int) -> Observation:
-        """The same picture at another size (area average); depth takes the nearest value, never a mixture.
+        """Resize the picture to so many pixels (area average); depth takes the nearest value, never a mixture.
 
         Raises `BaggieError` for an orthographic picture: the size of its pixels is its grid's.
         """
@@ -199,7 +199,7 @@ class Goal:
         return np.asarray(self.corners.mean(axis=0))
 
     def scaled(self, factor_u: float, factor_v: float) -> Goal:
-        """The same goal in a picture resized by these factors (pixel centres are at integer (u, v))."""
+        """Scale the goal to a picture resized by these factors (pixel centres are at integer (u, v))."""
         factors = np.array([factor_u, factor_v])
         object_at = self.object_at
         if object_at is not None:
@@ -209,7 +209,7 @@ class Goal:
 
 
 def _numbers(values: Any, count: int) -> tuple[float, ...] | None:
-    """These as so many finite numbers; None where they are none."""
+    """Read values as so many finite numbers; None where they are none."""
     try:
         numbers = np.asarray(values, float)
     except (TypeError, ValueError):

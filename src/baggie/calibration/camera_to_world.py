@@ -98,7 +98,7 @@ class CameraToWorld(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "camera": self.camera.to_yaml(),
             "frames": "world: z up, out of the paper; camera: x right, y down, z ahead",

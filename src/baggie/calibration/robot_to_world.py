@@ -86,7 +86,7 @@ class RobotToWorld(Calibration):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "frames": "world: as touched; base: x forward, y left, z up",
             "units": "metres, radians",
@@ -129,7 +129,7 @@ class CameraToRobot(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "camera": self.camera.to_yaml(),
             "frames": "base: x forward, y left, z up; camera: x right, y down, z ahead",

@@ -291,7 +291,7 @@ class Dataset(Sequence[Attempt]):
         return maps
 
     def numbers(self) -> dict[str, NDArray[Any]]:
-        """All numbers of all attempts by name, `(N, ...)`, without touching a picture.
+        """Read all numbers of all attempts by name, `(N, ...)`, without touching a picture.
 
         Poses (`commanded`, `executed`: `(N, 6)`; `truth_before`, `truth_after`: `(N, 3)`) are metres and
         radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for

@@ -112,7 +112,7 @@ class RunningStats:
         self._squares = ((values - self._mean) ** 2).sum(axis=0)
 
     def add(self, row: Mapping[str, ArrayLike]) -> None:
-        """See one row more."""
+        """Add one row to the statistics."""
         values = self._flat(row)
         self._count += 1
         if self._count == 1:

@@ -91,7 +91,7 @@ def _size(root: Path) -> int:
 
 
 def _episodes(dataset: Dataset) -> dict[str, Any]:
-    """Nothing where all attempts stand alone."""
+    """Count the episodes; empty where all attempts stand alone."""
     inside = dataset.episodes >= 0
     if not inside.any():
         return {}

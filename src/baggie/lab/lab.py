@@ -166,7 +166,7 @@ class Lab:
     # -- time ---------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Until somebody closes the lab."""
+        """Let time pass until somebody closes the lab."""
         try:
             while not self._closing.is_set():
                 began = time.monotonic()

@@ -267,5 +267,5 @@ def _floats(values: FloatArray) -> tuple[float, ...]:
 
 
 def _columns(transform: FloatArray) -> tuple[float, ...]:
-    """As libfranka writes them."""
+    """Write the columns of a transform as libfranka does."""
     return tuple(transform.T.ravel().tolist())

@@ -69,7 +69,7 @@ class LabControl:
         self._ask("POST", "block", x=pose.x, y=pose.y, height=height_m)
 
     def take_block_away(self) -> None:
-        """Off the table."""
+        """Take the firm block off the table."""
         self._ask("POST", "block", height=0)
 
     def show_paddle(self, shown: bool) -> None:
@@ -118,7 +118,7 @@ class LabServer:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -192,7 +192,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(int(length)).decode("latin-1")
 
     def log_message(self, *arguments: object) -> None:
-        """Nothing on the terminal."""
+        """Write nothing on the terminal."""
 
     def _answer(self, status: HTTPStatus, content: dict[str, Any]) -> None:
         body = json.dumps(content).encode()

@@ -93,7 +93,7 @@ def _tilt(rng: np.random.Generator, slope: float) -> FloatArray:
 
 
 def _about(matrix: FloatArray, center: FloatArray) -> FloatArray:
-    """The same map with its origin moved to `center`."""
+    """Conjugate a map so that its origin is at `center`."""
     to_center = np.eye(3)
     to_center[:2, 2] = center
     from_center = np.eye(3)
@@ -134,7 +134,7 @@ def object_mask(picture: Image, box: FloatArray) -> Mask:
 
 
 def random_look(rng: np.random.Generator, picture: Image, table: Image, mask: Mask) -> Image:
-    """The same scene `(H, W, 3)` with another cloth, half of the time another table, and clutter beside the object.
+    """Redraw the scene `(H, W, 3)` with another cloth, half of the time another table, and clutter beside the object.
 
     `table` is the scene `without_object`.
     """
@@ -193,7 +193,7 @@ def _pattern(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _other_table(rng: np.random.Generator, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of another colour, under other lamps, with more or less of its grain."""
+    """Redraw the table in another colour, under other lamps, with more or less of its grain."""
     smooth = cv2.GaussianBlur(seen, (0, 0), 4.0)
     grain = seen - smooth
     return np.asarray((smooth + rng.uniform(0.5, 3.0) * grain) * _tint(rng, seen.shape[:2]), np.float32)
@@ -270,12 +270,12 @@ class Shape:
 
 
 def unchanged(yaw: float, symmetry: int = SQUARE) -> Shape:
-    """An object that nothing was done to."""
+    """Make the shape of an object that nothing was done to."""
     return Shape(yaw, symmetry, np.eye(2))
 
 
 def randomly_turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
-    """Half of the time turned by up to a quarter turn either way; `jacobian` `(2, 2)` is d table / d picture."""
+    """Turn an object, half of the time, by up to a quarter turn; `jacobian` `(2, 2)` is d table / d picture."""
     if rng.random() >= _TURNED:
         return shape
     angle = rng.uniform(-math.pi / 2, math.pi / 2)
@@ -286,7 +286,7 @@ def randomly_turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray
 
 
 def reshaped(rng: np.random.Generator, shape: Shape, jacobian: FloatArray, long_from: float) -> Shape:
-    """Of another size and, if it was square, stretched or round.
+    """Resize an object and, if it was square, stretch it or make it round.
 
     What is more than `long_from` times longer than wide is long.
     """

@@ -175,7 +175,7 @@ class Demonstrations:
             )
 
     def only_carried(self, carried: Sequence[Carried | None]) -> Demonstrations:
-        """Those in which something was carried, and what; where the maps tell it of most, the rest went wrong.
+        """Keep the demonstrations in which something was carried; where maps tell it of most, the rest went wrong.
 
         `carried`: N. All of them where the maps tell it of few.
         """
@@ -206,7 +206,7 @@ class Demonstrations:
         return Scale(max(tops) + _HIGHER_M, max(_LANDS_PX, float(np.percentile(offs, 95)) + 1.0))
 
     def by_the_thing(self) -> Demonstrations:
-        """The same carries by a suction cup, each picked where it holds the thing best, and placed accordingly.
+        """Move the picks of a suction cup to where it holds each object best, and placed accordingly.
 
         Where somebody happened to pick says nothing, as a cup holds a thing anywhere where it is level; so what is
         taught is the thing. Fingers, and things with a hole, are picked as they were.

@@ -29,7 +29,7 @@ _SHADOW_PX = 16
 
 
 class Light(NamedTuple):
-    """A lamp aside."""
+    """The direction and strength of a lamp that stands aside and casts shadows."""
 
     way: float
     """Where it comes from, radians from u towards v."""
@@ -166,7 +166,7 @@ class MovedMaps:
         return [self._seen_otherwise(rng, each) for each in drawn] if self._moves.recolor else drawn
 
     def _seen_otherwise(self, rng: np.random.Generator, moved: MovedMap) -> MovedMap:
-        """In slightly other light, and now and then as from another side."""
+        """Redraw a map in slightly other light, and now and then as from another side."""
         color, height, pixel_m = moved.color, moved.height, self._shown.grid.pixel_m
         if rng.random() < self._moves.other_views:
             odd = 2 * round((rng.choice(_GAPS_M) / pixel_m - 1) / 2) + 1

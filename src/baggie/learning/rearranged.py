@@ -61,7 +61,7 @@ def rearranged(
     table_move: FloatArray,
     size: tuple[int, int] | None = None,
 ) -> Rearranged | None:
-    """Every thing turned at random and put where there is room for it; None where no room is found for one.
+    """Turn every object at random and put it where there is room for it; None where no room is found for one.
 
     `things`: those of the scene. The table itself, and places on it, move by `table_move` `(3, 3)`; nothing is put down
     where a place on the table is. `size` (width, height) pixels: of the new map; as the old one unless given.

@@ -65,7 +65,7 @@ class RegressionRecipe(Recipe):
         return Adam(self.policy.network.parameters(), lr=1e-4, fused=True)
 
     def rate(self, progress: float) -> float:
-        """Always the same."""
+        """Keep the learning rate as it is."""
         return 1.0
 
     def batch(self, rng: np.random.Generator) -> Batch:

@@ -65,7 +65,7 @@ class Outlier:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How far releases say an object is from where the collector's eye says, as a smooth field over the table."""
+    """How far releases say an object is from where the collector detected it, as a smooth field over the table."""
 
     middle: FloatArray
     """`(2,)` metres, where `extent` is measured from."""

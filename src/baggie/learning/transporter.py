@@ -140,7 +140,7 @@ class TransporterRecipe(Recipe):
 
     @classmethod
     def split(cls, attempts: Sequence[Attempt], train: int | None, val: int | None) -> Split:
-        """By whole episodes, but for one camera's pictures."""
+        """Split by whole episodes, but for one camera's pictures."""
         return (Split.of if from_camera(attempts) else split_episodes)(attempts, train, val)
 
     def chosen(self) -> dict[str, Any]:

@@ -105,9 +105,7 @@ def _goal_yaw(goal: Goal) -> float:
 
 
 class OraclePolicy(Policy):
-    """Picks the bag where it truly is and places it at the goal's true pose. For evaluation in simulation
-    only.
-    """
+    """Picks the bag where it truly is and places it at the goal's true pose. For evaluation in simulation only."""
 
     name = ORACLE
 
@@ -117,8 +115,9 @@ class OraclePolicy(Policy):
         goal_pose: Callable[[], PlanarPose],
         symmetry: Callable[[], int] = lambda: 4,
     ) -> None:
-        """All are asked at every plan: poses now, in the robot's base frame, and how often a turn the bag looks the
-        same, 0 for at any angle.
+        """Take functions that are asked at every plan: poses in the robot's base frame, and the bag's symmetry.
+
+        A symmetry is how often a turn the bag looks the same, 0 for at any angle.
         """
         self.bag_pose = bag_pose
         self.goal_pose = goal_pose

@@ -59,13 +59,13 @@ class Graph:
         """Their shapes by name; a side of any length has a name in place of its length."""
 
     def run(self, outputs: Sequence[str], inputs: Mapping[str, NDArray[Any]]) -> list[Float32]:
-        """These outputs, in this order."""
+        """Run the network: these outputs, in this order."""
         given = {name: np.ascontiguousarray(array) for name, array in inputs.items()}
         return [np.asarray(part, np.float32) for part in self._session.run(list(outputs), given)]
 
 
 class ExportedPolicy(Policy):
-    """What both kinds share: it belongs to one cell, and to pictures of one shape."""
+    """Base of exported policies: it belongs to one cell, and to pictures of one shape."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         """`config`: the content of `config.yaml`. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
@@ -76,7 +76,7 @@ class ExportedPolicy(Policy):
 
 
 class ExportedKeypoint(ExportedPolicy):
-    """`keypoint`; see `keypoint_plan`."""
+    """An exported `keypoint` policy; see `keypoint_plan`."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         super().__init__(graph, config)
@@ -102,7 +102,7 @@ class ExportedKeypoint(ExportedPolicy):
 
 
 class ExportedRegression(ExportedPolicy):
-    """`regression`; see `regression_plan`."""
+    """An exported `regression` policy; see `regression_plan`."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         super().__init__(graph, config)

@@ -92,7 +92,7 @@ class View:
         return replace(goal, corners=self.to_input(goal.corners))
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types; the picture's size is kept elsewhere."""
+        """Give the view in plain YAML types; the picture's size is kept elsewhere."""
         edges = {"left": self.left, "top": self.top, "right": self.right, "bottom": self.bottom}
         return {**edges, "size": list(self.size)}
 
@@ -164,7 +164,7 @@ class GoalInput:
 
     @property
     def channels(self) -> int:
-        """Of the network's input."""
+        """Channels of the network's input."""
         return 4 if self.kind == "region" else 3
 
     def network_input(self, cut: Image, goal: Goal) -> Image:
@@ -181,12 +181,12 @@ class GoalInput:
         return np.concatenate([cut.transpose(2, 0, 1), region_mask(goal.corners, (width, height))[None]])
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types."""
+        """Give the settings in plain YAML types."""
         return {"kind": self.kind, "style": self.style, "color": list(self.color)}
 
     @classmethod
     def of(cls, config: dict[str, Any]) -> GoalInput:
-        """The inverse of `config`."""
+        """Build it from what `config` gives."""
         red, green, blue = (int(value) for value in config["color"])
         return cls(config["kind"], config["style"], (red, green, blue))
 

@@ -53,7 +53,7 @@ def import_ravens(options: ImportOptions, *, operator: Operator | None = None) -
 
 
 def _grid(options: ImportOptions) -> Grid:
-    """Of the pictures. Raises `UsageError` for bounds that make none."""
+    """Make the grid of the pictures. Raises `UsageError` for bounds that make none."""
     try:
         return Grid(options.x, options.y, options.z, options.pixel_m)
     except BaggieError as error:

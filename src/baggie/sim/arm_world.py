@@ -27,7 +27,7 @@ OPEN_M = 0.04  # each finger from the middle, at the most
 
 
 class Fingers:
-    """How far they are apart, and how hard they press."""
+    """The two fingers of the hand: how far they are apart, and how hard they press."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
@@ -41,7 +41,7 @@ class Fingers:
 
     @property
     def width(self) -> float:
-        """Metres between them."""
+        """Metres between the fingers."""
         return float(self._data.qpos[self._q].sum())
 
     def set_opening(self, opening: float) -> None:

@@ -31,7 +31,7 @@ RESERVED_APART = 35.0
 
 
 def hue_of(color: Color) -> float:
-    """Degrees."""
+    """Hue of an RGB colour, degrees."""
     return 360.0 * colorsys.rgb_to_hsv(*(value / 255 for value in color))[0]
 
 
@@ -199,7 +199,7 @@ _SPOT_M = 0.15  # how far from the table's middle a lamp may point
 
 @dataclass(frozen=True)
 class LightRange:
-    """Between what the light is drawn; lengths in metres."""
+    """Ranges from which the light is drawn; lengths in metres."""
 
     lamps: tuple[int, int]
     height_m: tuple[float, float]

@@ -66,7 +66,7 @@ class SceneObject(Protocol):
 
     @property
     def name(self) -> str:
-        """Its own among all on a table."""
+        """Its name, unique among all on a table."""
         ...
 
     @property
@@ -140,7 +140,7 @@ class Block:
         return float(self.density * sum(np.prod(part.size_m) for part in self.parts))
 
     def assets(self) -> str:
-        """None: it has one colour a box."""
+        """Give none: it has one colour a box."""
         return ""
 
     def xml(self) -> str:
@@ -157,7 +157,7 @@ class Block:
     </body>"""
 
     def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
-        """Nothing: it has no texture."""
+        """Paint nothing: it has no texture."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
         """Find it in a world that has been built with it."""
@@ -175,7 +175,7 @@ class Fixture:
     movable: ClassVar[bool] = False
 
     def assets(self) -> str:
-        """None: it has one colour a box."""
+        """Give none: it has one colour a box."""
         return ""
 
     def xml(self) -> str:
@@ -190,7 +190,7 @@ class Fixture:
     </body>"""
 
     def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
-        """Nothing: it has no texture."""
+        """Paint nothing: it has no texture."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
         """Find it in a world that has been built with it."""

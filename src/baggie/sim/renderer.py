@@ -47,7 +47,7 @@ class OffScreen:
         self._opened: mujoco.Renderer | None = None
 
     def renderer(self) -> mujoco.Renderer:
-        """It, with all that was printed in the world since. Raises `BaggieError` in a fork of who has rendered."""
+        """MuJoCo's renderer with all that was printed since. Raises `BaggieError` in a fork of who has rendered."""
         if self._opened is None:
             self._opened = self._open()
             self._copied = dict(self._world.printed)
@@ -116,7 +116,7 @@ class CameraRenderer:
 
     @contextmanager
     def _arm_simplified(self) -> Iterator[None]:
-        """Within: what is out of the picture is drawn as the hull that casts its shadow, not as 240,000 triangles."""
+        """Draw what is out of the picture as the hull that casts its shadow, not as 240,000 triangles."""
         groups = self._world.model.geom_group
         usual = groups.copy()
         seen = self._geoms_in_view()

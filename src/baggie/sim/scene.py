@@ -314,7 +314,7 @@ def _add_depth_cameras(scene: mujoco.MjSpec, cameras: Sequence[DepthCamera]) -> 
 
 
 def _check_lens(camera: DepthCamera) -> None:
-    """Square pixels, the principal point in the picture's middle, no distortion."""
+    """Raise unless the lens has square pixels, the principal point in the picture's middle, no distortion."""
     lens: Intrinsics = camera.intrinsics
     focal_length = lens.matrix[0, 0]
     ideal = [[focal_length, 0, (lens.width - 1) / 2], [0, focal_length, (lens.height - 1) / 2], [0, 0, 1]]

@@ -124,7 +124,7 @@ _TRIES = 200
 
 @dataclass(frozen=True)
 class Clutter:
-    """What may be there."""
+    """Which distractors may be drawn, and how many."""
 
     flat: tuple[Kind, ...]
     standing: tuple[Kind, ...]
@@ -140,7 +140,7 @@ STRANGE = Clutter(("magazine", "coaster"), ("cup", "dome"), (1, 5), inside=1)
 def draw_distractors(
     clutter: Clutter, cell: Cell, workspace: Rectangle, bag_hue: float, rng: np.random.Generator
 ) -> tuple[Distractor, ...]:
-    """Things of other hues than the bag's (degrees), or grey; those that stand are in view and apart."""
+    """Draw distractors of other hues than the bag's (degrees), or grey; those that stand are in view and apart."""
     things: list[Distractor] = []
     inside = int(rng.integers(clutter.inside + 1))
     for _ in range(rng.integers(clutter.count[0], clutter.count[1] + 1)):
@@ -217,7 +217,7 @@ _ROOM = 0.1
 
 
 def random_pose(workspace: Rectangle, rng: np.random.Generator) -> PlanarPose:
-    """Anywhere in the workspace, at any angle."""
+    """Draw a pose anywhere in the workspace, at any angle."""
     x, y = workspace.sample(rng, margin=_EDGE_M)
     return PlanarPose(float(x), float(y), float(rng.uniform(-np.pi, np.pi)))
 

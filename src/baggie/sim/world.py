@@ -118,7 +118,7 @@ class World(ArmWorld):
 
     @property
     def block(self) -> FirmBlock:
-        """For an arm with a hand to feel; away until it is laid. Raises `BaggieError` where the arm has no hand."""
+        """The firm block for a hand to feel; away until it is laid. Raises `BaggieError` where the arm has no hand."""
         if self._block is None:
             raise BaggieError("expected an arm with a hand, to feel a firm block, got one with a suction cup")
         return self._block
@@ -179,7 +179,7 @@ class World(ArmWorld):
         return self.bodies[name].pose()
 
     def poses(self) -> dict[str, FloatArray]:
-        """By name, `T_base_body` `(4, 4)` of everything now."""
+        """Poses `T_base_body` `(4, 4)` of all objects now, by name."""
         return {name: body.pose() for name, body in self.bodies.items()}
 
     def planar_pose(self, name: str) -> PlanarPose:
@@ -287,12 +287,12 @@ class FirmBlock:
         """Of its top above the table; 0 while it is away."""
 
     def lay(self, pose: PlanarPose, height_m: float) -> None:
-        """Its middle at this place, its top at this height; its sides stay along x and y."""
+        """Lay the block with its middle at this place, its top at this height, metres; its sides stay along x and y."""
         self.pose, self.height_m = pose, height_m
         self._put((pose.x, pose.y, height_m - BLOCK_HALF_M[2]))
 
     def take_away(self) -> None:
-        """Off the table."""
+        """Take the block off the table."""
         self.pose, self.height_m = None, 0.0
         self._put(BLOCK_AWAY)
 

@@ -43,7 +43,7 @@ class ObjectMap:
 
     @classmethod
     def on(cls, height: NDArray[np.float32]) -> ObjectMap:
-        """By what is higher than most of a height map `(H, W)` metres, and hangs together."""
+        """Number the objects by what is higher than most of a height map `(H, W)` metres, and hangs together."""
         high = height > np.median(height[::4, ::4]) + _LOWEST_M
         _, parts, stats, _ = cv2.connectedComponentsWithStats(high.astype(np.uint8))
         keep = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_THING_PX

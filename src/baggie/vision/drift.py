@@ -173,7 +173,7 @@ class Landmarks:
 
     @classmethod
     def find(cls, reference: Image) -> Landmarks:
-        """All distinct tiles of a picture `(H, W, 3)`. Raises `BaggieError` where there are too few."""
+        """Find all distinct tiles of a picture `(H, W, 3)`. Raises `BaggieError` where there are too few."""
         templates = [Template(relief(reference, width)) for width in _WIDTHS_PX]
         landmarks = cls(templates, (reference.shape[1], reference.shape[0]))
         if len(landmarks.points) < MIN_LANDMARKS:
@@ -231,6 +231,6 @@ class Landmarks:
 
 
 def _resized(motion: FloatArray, grow: float) -> FloatArray:
-    """The same motion `(3, 3)` in pictures `grow` times as large (pixel centres at integers)."""
+    """Convert a motion `(3, 3)` to pictures `grow` times as large (pixel centres at integers)."""
     resize = np.array([[grow, 0.0, (grow - 1) / 2], [0.0, grow, (grow - 1) / 2], [0.0, 0.0, 1.0]])
     return resize @ motion @ np.linalg.inv(resize)

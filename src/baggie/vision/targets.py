@@ -58,7 +58,7 @@ class Target(Protocol):
         ...
 
     def detect(self, image: Image) -> TargetDetection | None:
-        """Its points in a picture `(H, W, 3)`; None where too few are found."""
+        """Find its points in a picture `(H, W, 3)`; None where too few are found."""
         ...
 
     def why_not(self, image: Image) -> str:
@@ -114,7 +114,7 @@ class Charuco:
         return self.sag.bend(flat, flat)
 
     def detect(self, image: Image) -> TargetDetection | None:
-        """Its inner corners in a picture, whichever of the two layouts was printed."""
+        """Find its inner corners in a picture, whichever of the two layouts was printed."""
         found = self._detect_as_laid_out(image)
         other = None if found else replace(self, legacy=not self.legacy)._detect_as_laid_out(image)
         return found or other
@@ -173,7 +173,7 @@ class Chessboard:
         return np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3) * self.square_m
 
     def detect(self, image: Image) -> TargetDetection | None:
-        """All its inner corners, or None."""
+        """Find all its inner corners, or None."""
         grey = _grey(image)
         for board in (self, Chessboard(self.columns - 1, self.rows - 1, self.square_m)):
             if min(board.columns, board.rows) < 2:
@@ -227,7 +227,7 @@ class ArucoMarker:
         return FLAT
 
     def detect(self, image: Image) -> TargetDetection | None:
-        """Its four corners in a picture."""
+        """Find its four corners in a picture."""
         corners, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
         matches = [] if ids is None else np.flatnonzero(ids.ravel() == self.number)
         if len(matches) != 1:

@@ -259,7 +259,7 @@ def lens_share(views: HandEyeViews, pair: Pair) -> FloatArray:
 
 
 def _moved(lens: Intrinsics, parameter: int, by: float) -> Intrinsics:
-    """With one of fx, fy, cx, cy and then the distortion moved."""
+    """Move one parameter of a lens: fx, fy, cx, cy, then the distortion."""
     matrix, distortion = lens.matrix.copy(), lens.distortion.copy()
     distortion.resize(max(5, distortion.size))  # zeros, where `np.resize` would begin again
     if parameter < 4:

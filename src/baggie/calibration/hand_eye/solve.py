@@ -101,7 +101,7 @@ class HandEye(Calibration):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "units": "m",
             **self.summary(),

@@ -111,7 +111,7 @@ class HandEyeViews:
         return np.array([invert_transform(pose) for pose in self.T_base_hand]).reshape(-1, 4, 4)
 
     def select(self, which: NDArray[np.bool_]) -> HandEyeViews:
-        """These views only: `(N,)`."""
+        """Keep only the views of a mask `(N,)`."""
         index = np.flatnonzero(which)
         return replace(
             self,
@@ -235,7 +235,7 @@ class _Setting:
 
     @classmethod
     def read(cls, folder: Path, content: Mapping[str, Any], picture: Image) -> _Setting:
-        """For pictures of the size of one of them."""
+        """Read the setting for pictures of the size of `picture`."""
         height, width = picture.shape[:2]
         missing = [key for key in ("camera_matrix", "distortion", "board") if key not in content]
         if missing:

@@ -173,7 +173,7 @@ class ImageToRobot(CameraCalibrated):
         return wrap_angle(float(np.angle(np.exp(4j * angles).sum())) / 4, math.pi / 2)
 
     def covariance_at(self, robot: ArrayLike) -> FloatArray:
-        """Of the map's error at `(N, 2)` metres, the noise of a detection there not counted: `(N, 2, 2)` m²."""
+        """Covariance `(N, 2, 2)` m² of the map's error at `(N, 2)` metres, without a detection's own noise."""
         _, by_xy, by_numbers = derivatives(self.lens, self.projection, self._on_plane(robot))
         moved = np.linalg.solve(by_xy, by_numbers)
         return np.asarray(moved @ self.covariance @ moved.transpose(0, 2, 1), float)
@@ -184,7 +184,7 @@ class ImageToRobot(CameraCalibrated):
 
     @property
     def std_mm(self) -> float:
-        """The same, root mean square over the area."""
+        """Root mean square of one standard deviation over the area, millimetres."""
         return float(np.sqrt((self.std_mm_at(lattice(self.area, 9, 9)) ** 2).mean()))
 
     def summary(self) -> dict[str, Any]:
@@ -205,7 +205,7 @@ class ImageToRobot(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "made_on": self.made_on,
             "frame": "robot base: x forward, y left, z up from the table",

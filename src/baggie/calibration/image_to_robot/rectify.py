@@ -40,7 +40,7 @@ class Rectifier:
 
     @classmethod
     def of(cls, fitted: ImageToRobot, grid: Grid) -> Self:
-        """At the map's height, for pictures of the size that the map is of."""
+        """Make a rectifier at the map's height, for pictures of the size that the map is of."""
         plane = fitted.projection[:, [0, 1, -1]].copy()
         if fitted.height_aware:
             plane[:, 2] += fitted.height_m * fitted.projection[:, 2]
@@ -99,7 +99,7 @@ class Rectifier:
         return shown
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types; the picture's size and the grid are kept elsewhere."""
+        """Give the settings in plain YAML types; the picture's size and the grid are kept elsewhere."""
         parts = {"matrix": self.lens.matrix, "distortion": self.lens.distortion, "plane": self.plane}
         return {name: part.tolist() for name, part in parts.items()}
 

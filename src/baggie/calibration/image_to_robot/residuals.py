@@ -57,7 +57,7 @@ class Residuals:
         return float(np.linalg.norm(self.left_out_mm[self.kept], axis=1).max())
 
     def to_yaml(self) -> dict[str, Any]:
-        """As they stand in a file."""
+        """Give the content of a file in plain YAML types."""
         numbers = np.hstack([self.points, self.error_mm, self.left_out_mm]).tolist()
         rows = [[*row, bool(kept)] for row, kept in zip(numbers, self.kept, strict=True)]
         return {"columns": list(_COLUMNS), "rows": rows}
@@ -73,7 +73,7 @@ class Residuals:
 
 
 def _rms(vectors: FloatArray) -> float:
-    """Of the lengths of `(N, 2)`."""
+    """Root mean square of the lengths of `(N, 2)`."""
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 

@@ -89,7 +89,7 @@ def choose_lens(
 
 
 def held_out_error(seen: TargetDetection, lens: Intrinsics) -> float:
-    """Square pixels: half of the corners say where the board is, the error is that of the other half; both ways.
+    """Mean squared error, square pixels, of either half of the corners, where the other half says where the board is.
 
     A view's own pose would absorb much of a lens's error if it were fitted to the same corners.
     """

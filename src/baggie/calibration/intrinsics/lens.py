@@ -179,7 +179,7 @@ def fit_lens(
 def settle_lens(
     seen: Sequence[TargetDetection], terms: Sequence[str], state: LensGuess, board: FloatArray
 ) -> LensFit:
-    """The same from where it is nearly right, by Levenberg and Marquardt's steps."""
+    """Fit a lens from where it is nearly right, by Levenberg and Marquardt's steps."""
     columns = np.array([True] * 4 + [term in terms for term in DISTORTION] + [True] * 2)
     spare = max(sum(2 * len(view.ids) - 6 for view in seen) - int(columns.sum()), 1)
     blocks = _eliminated(seen, state, board, columns)

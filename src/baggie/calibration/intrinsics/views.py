@@ -159,7 +159,7 @@ def all_alike(seen: Sequence[TargetDetection]) -> bool:
 
 
 def _differs(a: TargetDetection, b: TargetDetection) -> bool:
-    """By the similarity that takes one's corners nearest to the other's: moved, turned, resized, or not similar."""
+    """Whether two views differ: the best similarity between their corners moves, turns or resizes, or is none."""
     _, in_a, in_b = np.intersect1d(a.ids, b.ids, return_indices=True)
     if len(in_a) < 4:
         return True
@@ -201,7 +201,7 @@ _MEDIAN_SQUARE = 0.4549
 
 
 def corner_noise_px(seen: Sequence[TargetDetection], residuals: Sequence[FloatArray]) -> float | None:
-    """Of how far corners are off `(N, 2)`, what goes from corner to corner: RMS distance, pixels.
+    """RMS noise of corners, pixels: of their errors `(N, 2)`, what differs from one corner to the next.
 
     What a wrong lens or a bent board does goes smoothly over a board, and third differences along its rows and columns
     leave next to nothing of it; noise of independent corners gets twenty times its variance. By their median: a few
@@ -243,7 +243,7 @@ _ROUNDS = 20
 
 
 def clean(views: Sequence[BoardView]) -> tuple[list[BoardView], list[tuple[str, str]]]:
-    """Without corners grossly off the plane, and views with hardly any others: kept views, and dropped ones with why.
+    """Drop corners grossly off the plane, and views with hardly any others; kept views, and dropped ones with why.
 
     No lens is needed: it bends a board by much less than a square.
     """
@@ -311,7 +311,7 @@ def _plane(seen: TargetDetection) -> tuple[FloatArray | None, NDArray[np.bool_]]
 
 
 def _near_most(seen: Sequence[TargetDetection], size: tuple[int, int]) -> Intrinsics:
-    """Of rough lenses, each fitted to a few views drawn at random, the one that most views are nearest to."""
+    """Find the rough lens, of those fitted to a few random views each, that most views are nearest to."""
     rng = np.random.default_rng(0)
     drawn = {tuple(sorted(rng.choice(len(seen), _DRAWN, replace=False).tolist())) for _ in range(_DRAWS)}
     most = max(MIN_VIEWS, int(np.ceil(_MOST * len(seen))))

@@ -98,7 +98,7 @@ class Residual(nn.Module):
 
 
 def convolution(inputs: int, outputs: int, size: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
-    """One that keeps the variance through a ReLU, times `gain`², and starts without bias."""
+    """Make a convolution that keeps the variance through a ReLU, times `gain`², and starts without bias."""
     layer = nn.Conv2d(inputs, outputs, size, stride=stride, padding=size // 2)
     nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
     assert layer.bias is not None
@@ -154,7 +154,7 @@ class PickAngle(nn.Module):
         self.angles: Tensor
 
     def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
-        """Of the yaw at the point: `(B, R, 1, 1)`."""
+        """Score the yaw at the point: `(B, R, 1, 1)`."""
         coefficients = self.read(at_points(scene.features, about.place, CELL))
         coefficients = coefficients.view(-1, self.orders, 2, 1, 1)
         logits = scores(coefficients, max(self.fold, 1) * self.angles)
@@ -214,7 +214,7 @@ class Matching(nn.Module):
 
 
 class CoarsePlace(nn.Module):
-    """Every cell of the map."""
+    """Scores of a place in every cell of the map."""
 
     def __init__(self, config: TransporterConfig, width: int) -> None:
         super().__init__()
@@ -229,7 +229,7 @@ class CoarsePlace(nn.Module):
 
 
 class FinePlace(nn.Module):
-    """Every pixel near a place, from the pixels themselves and the trunk's features.
+    """Scores of every pixel near a place, from the pixels themselves and the trunk's features.
 
     Only two patches are looked at, about the pick and about the place, so that full resolution costs next to nothing.
     """
@@ -242,7 +242,7 @@ class FinePlace(nn.Module):
         self.match = Matching(config, _FINE_WIDTH, config.bins(config.symmetry), _CROP)
 
     def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
-        """Within 6 pixels of what it is about."""
+        """Score the pixels within 6 of the place that it is about."""
         size = _CROP + 2 * (_SEARCH + _RIM) + 1
         batch, centre = len(pick.place), about.place.round()
         context = self.context(scene.features).contiguous()

@@ -89,7 +89,7 @@ class Scale:
     """How far from where it was to go a thing lies that was well placed."""
 
     def config(self) -> dict[str, float]:
-        """In plain YAML types; nothing where nothing is known."""
+        """Give the sizes in plain YAML types; nothing where nothing is known."""
         return (
             {} if self == UNKNOWN else {"highest_m": self.highest_m, "lands_within_px": self.lands_within_px}
         )

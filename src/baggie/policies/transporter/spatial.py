@@ -67,7 +67,7 @@ def _direct(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
 
 
 def _spectral(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
-    """The same, on a map that goes on at its other side. Channels are summed in the spectrum: one inverse transform a
+    """Correlate on a map that goes on at its other side. Channels are summed in the spectrum: one inverse transform a
     rotation.
 
     The two axes of the kernels and of the scores are transformed one after the other, so that no row is that holds only
@@ -204,5 +204,5 @@ def patches(features: Tensor, centres: Tensor, size: int, stride: int) -> Tensor
 
 
 def at_points(features: Tensor, centres: Tensor, stride: int) -> Tensor:
-    """The same at the centres alone: `(B, C)`."""
+    """Features `(B, C, h, w)` of cells of `stride` pixels at centres `(B, 2)` (u, v) pixels -> `(B, C)`."""
     return patches(features, centres, 1, stride)[:, :, 0, 0]
