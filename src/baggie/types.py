@@ -274,7 +274,7 @@ class Plan:
     pick_within_m: float | None = None
     """The radius around the pick that holds the object's true middle nine times of ten; None where it cannot tell."""
     place_within_m: float | None = None
-    """The radius around the goal in which the object ends nine times of ten, scatter of its landing included."""
+    """The radius around the goal in which the object ends nine times of ten, scatter of its release included."""
     views: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Heat maps by name, `(h, w)` float32 in [0, 1], of the whole picture at any resolution."""
 

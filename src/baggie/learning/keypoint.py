@@ -42,7 +42,7 @@ COVERAGE = 0.9
 SEEN_M = 0.001
 """How far the middle of what is seen of a soft object is from its own, another way in every picture.
 
-A dent on one side moves the outline's middle, for the collector's eye and for the network alike."""
+A dent on one side moves the outline's middle, for the collector's detection and for the network alike."""
 _FEWEST = 10
 """Attempts without which nothing is said: a 90% radius needs at least nine."""
 

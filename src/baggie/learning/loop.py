@@ -200,7 +200,7 @@ class TrainingState:
         return parts if self.average is None else parts | {"average": self.average}
 
 
-class Every:
+class Throttle:
     """True once every so many seconds."""
 
     def __init__(self, seconds: float) -> None:
@@ -254,7 +254,7 @@ class TrainingLoop:
         self._state = TrainingState(network, optimizer, average, where)
         self._state.load(folder)
         self._model, self._optimizer = accelerator.prepare(network, optimizer)
-        self._save_now = Every(save_every_s)
+        self._save_now = Throttle(save_every_s)
         # A GPU takes batches faster than one core makes them; where a CPU learns, making them takes cores away from it.
         self._makers = 1 if accelerator.device.type == "cpu" else max(1, (os.cpu_count() or 1) // 2)
 

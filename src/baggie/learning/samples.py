@@ -42,7 +42,7 @@ from baggie.policies.planning import CELLS_TO_INPUT, LONG_RATIO, View
 from baggie.types import Attempt, Goal, Image
 
 DETECTION_NOISE_M, PLACING_NOISE_M = 0.002, 0.005
-"""What is expected of labels by the collector's eye and by releases, until the residuals tell."""
+"""Noise expected of labels by the collector's detection and by releases, metres, until the residuals tell."""
 _SAME_PLACE = 0.004
 """Of the picture's width: an object seen this near to where it was seen last has not been moved in between."""
 SYSTEMATIC_M = 0.002
@@ -90,7 +90,7 @@ class Labels:
     xy: FloatArray
     """`(N, K, 2)` metres, robot base frame: where the object is, and where to let go of it."""
     weight: FloatArray
-    """`(N, K)`: 1 for labels by the collector's eye that agree with the consensus, less for others."""
+    """`(N, K)`: 1 for labels by the collector's detection that agree with the consensus, less for others."""
     yaw: FloatArray
     """`(N,)` radians: of the object at the pick."""
     yaw_weight: FloatArray
@@ -188,7 +188,7 @@ def _disagreement(apart: FloatArray, picks: FloatArray, later: NDArray[np.int64]
     terms = found.terms(picks[later])
     weight = np.ones(len(apart))
     prior = np.eye(3) * (PLACING_NOISE_M / SYSTEMATIC_M) ** 2
-    for _ in range(10):  # Huber's weights, so that one bad landing does not count
+    for _ in range(10):  # Huber's weights, so that one bad release does not count
         weighted = terms * weight[:, None]
         found = replace(
             found, field=np.asarray(np.linalg.solve(terms.T @ weighted + prior, weighted.T @ apart), float)
