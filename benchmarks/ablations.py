@@ -19,9 +19,9 @@ from torch import Tensor, nn
 from baggie.learning.augmentation import WarpRange
 from baggie.learning.keypoint import IntArray, KeypointOptions, KeypointRecipe
 from baggie.learning.samples import Changes
-from baggie.options.choices import Backbone
+from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import PlanarMap, heat_maps, soft_argmax
-from baggie.policies.keypoint.network import KeypointNet
+from baggie.policies.keypoint.policy import KeypointNet
 from baggie.results import provenance, write_results
 from teaching import Lesson, teach_all
 

@@ -19,8 +19,8 @@ from baggie.geometry import PlanarPose, wrap_angle
 from baggie.robot.kinematics import Kinematics
 from baggie.robot.primitives import pick, place
 from baggie.sim.arm import BLOCK_HANDLING, SuctionArm
-from baggie.sim.blocks import Block, stand
 from baggie.sim.cell import draw_cell
+from baggie.sim.objects import Block, stand
 from baggie.sim.world import World
 from stopwatch import timed
 

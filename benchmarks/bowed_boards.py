@@ -37,7 +37,7 @@ from baggie.operator import Nobody, Operator
 from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.types import Image, Intrinsics
-from baggie.vision.targets import Seen, parse_target
+from baggie.vision.targets import TargetDetection, parse_target
 from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 RESULTS = Path("docs/results")
@@ -215,30 +215,30 @@ def bent(points: FloatArray, sag_m: tuple[float, float]) -> FloatArray:
     return np.c_[points[:, :2], (1 - places**2) @ np.array(sag_m)]
 
 
-def opencv_corners(picture: Image, seen: Seen) -> FloatArray:
+def opencv_corners(picture: Image, seen: TargetDetection) -> FloatArray:
     """As `cv2.findChessboardCornersSB` leaves them; those of `seen` where it finds none."""
     found, corners = cv2.findChessboardCornersSB(picture[:, :, 0], (10, 7), flags=cv2.CALIB_CB_ACCURACY)
     return np.asarray(corners, float).reshape(-1, 2) if found else seen.pixels
 
 
-def views(folder: Path, task: Task, which: str = "pixels") -> list[Seen]:
+def views(folder: Path, task: Task, which: str = "pixels") -> list[TargetDetection]:
     """What was found in the pictures."""
     points = parse_target(task.board).points
     with np.load(folder / task.name) as found:
         ids = [found[f"ids-{i}"] for i in range(PICTURES[task.size])]
-        return [Seen(each, found[f"{which}-{i}"], points[each]) for i, each in enumerate(ids)]
+        return [TargetDetection(each, found[f"{which}-{i}"], points[each]) for i, each in enumerate(ids)]
 
 
 # -- calibrations ----------------------------------------------------------------------------------
 
 
-def ours(task: Task, seen: Sequence[Seen]) -> CameraCalibration:
+def ours(task: Task, seen: Sequence[TargetDetection]) -> CameraCalibration:
     """As `baggie calibrate intrinsics` does it."""
     named = [BoardView(f"{i:03d}", view) for i, view in enumerate(seen)]
     return fit_intrinsics(named, CameraIdentity("camera", *task.size[:2]), parse_target(task.board))
 
 
-def opencv(task: Task, seen: Sequence[Seen], released: bool) -> Intrinsics:
+def opencv(task: Task, seen: Sequence[TargetDetection], released: bool) -> Intrinsics:
     """`cv2.calibrateCamera`, or `cv2.calibrateCameraRO` with every point of the board free but three."""
     points, pixels = ([getattr(v, of).astype(np.float32) for v in seen] for of in ("points", "pixels"))
     size = task.size[:2]
@@ -249,7 +249,7 @@ def opencv(task: Task, seen: Sequence[Seen], released: bool) -> Intrinsics:
     return Intrinsics(*size, matrix, bent_by.ravel()[:5])
 
 
-def mrcal(task: Task, seen: Sequence[Seen]) -> Intrinsics:
+def mrcal(task: Task, seen: Sequence[TargetDetection]) -> Intrinsics:
     """mrcal's command, from a list of corners."""
     with tempfile.TemporaryDirectory() as folder:
         lines = ["# filename x y weight"]

@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 from rich.progress import track
 
+from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, read_views
@@ -30,8 +31,7 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.intrinsics.views import BoardView
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import compose, fit_from_points
+from baggie.calibration.robot_to_world import compose, fit_from_points
 from baggie.commissioning.hand_eye import random_hand_pose, take_hand_eye_views
 from baggie.commissioning.image_to_robot import calibrate_image_to_robot_live, grid
 from baggie.commissioning.intrinsics import calibrate_intrinsics_live
@@ -46,7 +46,7 @@ from baggie.errors import BaggieError
 from baggie.files import write_text
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, invert_transform, rigid, transform_points
 from baggie.operator import Nobody, Operator
-from baggie.options.calibrating import (
+from baggie.options.commissioning import (
     CameraToWorldOptions,
     HandEyeOptions,
     ImageToRobotOptions,
@@ -54,12 +54,12 @@ from baggie.options.calibrating import (
     LiveOptions,
     RobotToWorldOptions,
 )
-from baggie.options.choices import BOARD, HAND_BOARD
+from baggie.options.values import BOARD, HAND_BOARD
 from baggie.processes import LocalProcesses
 from baggie.results import provenance, write_results
 from baggie.sim.cell import Cell, draw_cell
 from baggie.types import Observation
-from baggie.vision.targets import Seen, Target, parse_target
+from baggie.vision.targets import Target, TargetDetection, parse_target
 from baggie.workcell.simulated import SimulatedWorkcell
 
 RESULTS = Path("docs/results")
@@ -192,12 +192,12 @@ class Detector:
         )
         return values
 
-    def see(self, target: Target, T_base_target: FloatArray) -> Seen:
+    def see(self, target: Target, T_base_target: FloatArray) -> TargetDetection:
         """The target's points that are in the picture."""
         pixels = self.pixels(transform_points(T_base_target, target.points))
         inside = ((pixels > 0) & (pixels < np.array(self.cell.lens.size) - 1)).all(axis=1)
         ids = np.flatnonzero(inside)
-        return Seen(ids, pixels[ids], target.points[ids])
+        return TargetDetection(ids, pixels[ids], target.points[ids])
 
 
 def intrinsics_of(detector: Detector, rng: np.random.Generator, views: int = 20) -> CameraCalibration:

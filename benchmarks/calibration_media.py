@@ -15,7 +15,7 @@ import tyro
 
 from baggie.cli.main import main as baggie
 from baggie.evaluation.pictures import save_jpeg
-from baggie.options.choices import BOARD
+from baggie.options.values import BOARD
 from baggie.pictures import read_picture
 from baggie.types import Image
 from baggie.vision.printing import draw_target

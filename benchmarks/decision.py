@@ -27,7 +27,7 @@ from baggie.data.summary import goal_of
 from baggie.learning.keypoint import KeypointRecipe
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, Policy, RegressionPolicy, load_policy
 from baggie.policies.export import export_policy
-from baggie.policies.regression.policy import RegressionNet
+from baggie.policies.regression import RegressionNet
 from commands import spread_ms, write_and_show
 from helpers.synthetic import RED, make_attempt, to_pixels
 

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from baggie.errors import LimitError, ReachError
-from baggie.options.choices import CollectedStyle
+from baggie.options.values import CollectedStyle
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.tasks.scoring import Score, strict_success

@@ -20,7 +20,7 @@ from baggie.data.summary import inspect_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.lab.web import LabControl
-from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.policies.baselines import ColorMaskPolicy
 from baggie.types import Attempt, Observation
 from baggie.workcell.workcell import WorkcellSettings
 from commands import start

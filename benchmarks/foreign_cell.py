@@ -30,12 +30,12 @@ from baggie.commissioning.doctor import examine
 from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.evaluation.log import read_episodes
-from baggie.options.choices import HAND_MARKER
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import DoctorOptions
+from baggie.options.values import HAND_MARKER
 from baggie.pictures import read_picture, write_picture
 from baggie.results import provenance, write_json, write_results
 from baggie.robot.contract import check_arm
-from baggie.vision.targets import Marker, Target, parse_target
+from baggie.vision.targets import ArucoMarker, Target, parse_target
 from commands import ENDS_WITH_US, rate
 from rehearsal import answer
 
@@ -325,7 +325,7 @@ class Helper:
 def printed_marker() -> np.ndarray:
     """`(H, W)` uint8: what `baggie print-target hand-marker` prints, cut out with a white rim."""
     marker = parse_target(HAND_MARKER)
-    assert isinstance(marker, Marker)
+    assert isinstance(marker, ArucoMarker)
     side = 480
     drawn = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, marker.dictionary)), marker.number, side

@@ -20,7 +20,7 @@ from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.calibrate import calibrate
 from baggie.evaluation.goals import draw_goal
 from baggie.geometry import PlanarPose
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.results import provenance, write_results
 from baggie.seeds import EVALUATION
 from baggie.vision.goal_card import find_card

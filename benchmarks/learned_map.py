@@ -15,7 +15,7 @@ import tyro
 
 import baggie
 from baggie.calibration.files import MAP_FILE
-from baggie.calibration.image_to_robot.map import ImageToRobot, compare
+from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison, lattice
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.evaluation.pictures import save_jpeg
@@ -61,7 +61,7 @@ def main(options: Options) -> None:
                 "of it a shift x, y (mm)": ", ".join(f"{value:.2f}" for value in errors.mean(axis=0)),
             }
         )
-    comparison = compare(learned, fitted, WORKSPACE)
+    comparison = compare_maps(learned, fitted, WORKSPACE)
     notes = (
         f"Against each other they differ by {comparison.rms_mm:.2f} mm (RMS), {comparison.max_mm:.2f} mm at most, over "
         "the workspace. The truth is the simulator's camera. The learned map comes with the policy: nobody calibrated "

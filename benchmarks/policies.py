@@ -90,7 +90,7 @@ def cells_of(options: Options, policy: str) -> tuple[int, ...]:
 
 def take_own_statistics(run: Path, out: Path) -> None:
     """The same weights, as they were while they learned: from batches of one."""
-    from baggie.policies.regression.policy import RegressionNet, RegressionPolicy  # noqa: PLC0415 -- as above
+    from baggie.policies.regression import RegressionNet, RegressionPolicy  # noqa: PLC0415 -- as above
 
     trained = RegressionPolicy.from_pretrained(run)
     network = RegressionNet("picture")

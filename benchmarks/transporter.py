@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from baggie.options.choices import Preset
+from baggie.options.values import Preset
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

@@ -19,7 +19,7 @@ from contextlib import closing
 import numpy as np
 
 from baggie.geometry import PlanarPose
-from baggie.sim.blocks import Block, Fixture, Part
+from baggie.sim.objects import Block, Fixture, Part
 from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, radius_m, scatter
 from baggie.tasks.scoring import Score, strict_success

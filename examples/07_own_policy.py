@@ -24,7 +24,7 @@ from baggie.data.summary import goal_of, is_demonstration
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.metrics import summary
-from baggie.types import Attempt, Goal, Observation, PickPlace, Plan, marked
+from baggie.types import Attempt, Goal, Observation, PickPlace, Plan, require_goal
 
 RECORDING = Path("demo/recording")
 
@@ -47,7 +47,7 @@ class HomographyPolicy(baggie.Policy):
         if not red.any():
             raise BaggieError("expected a red bag in the picture, found none; bring it into view")
         v, u = np.nonzero(cv2.medianBlur(red.astype(np.uint8), 5))
-        seen = np.array([[u.mean(), v.mean()], marked(goal).center])
+        seen = np.array([[u.mean(), v.mean()], require_goal(goal).center])
         pick, place = (PlanarPose(x, y) for x, y in apply_homography(self._to_robot, seen).tolist())
         return Plan(PickPlace(pick, place), views={"red": red.astype(np.float32)})
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from baggie import Policy
 from baggie.errors import BaggieError
-from baggie.ravens.agent import RavensAgent
+from baggie.ravens.adapters import RavensAgent
 
 POLICY = "runs/pyramid"  # the folder of a training run, or a Hub id
 ASSETS = Path("ravens/ravens/environments/assets")  # of Ravens' source, which is on the PYTHONPATH

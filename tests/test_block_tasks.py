@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.registry import TASKS
-from baggie.sim.blocks import Block, Fixture, distance_m, extent_m
 from baggie.sim.cell import draw_cell
+from baggie.sim.objects import Block, Fixture, distance_m, extent_m
 from baggie.tasks.conditions import InSlots, Slot, State, carry
 from baggie.tasks.demonstrator import next_action
 from baggie.tasks.layout import REACH

@@ -15,8 +15,8 @@ from baggie.geometry import Grid, PlanarPose
 from baggie.gymnasium_ids import id_of
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, EVALUATION, STYLE, generator
-from baggie.sim.blocks import Block
 from baggie.sim.cell import draw_cell
+from baggie.sim.objects import Block
 from baggie.sim.renderer import DepthRenderer
 from baggie.sim.world import World
 from baggie.tasks.layout import REACH

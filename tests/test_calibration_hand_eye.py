@@ -19,14 +19,14 @@ from scipy.spatial.transform import Rotation
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye import refine as hand_eye_refine
-from baggie.calibration.hand_eye.agree import lens_share
+from baggie.calibration.hand_eye.consensus import lens_share
 from baggie.calibration.hand_eye.refine import CLOSED_FORMS, closed_form
 from baggie.calibration.hand_eye.solve import HandEye, draw_views, solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, Mount, read_views
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, difference, from_vector, invert_transform
 from baggie.types import Intrinsics
-from baggie.vision.targets import Charuco, Seen, parse_target
+from baggie.vision.targets import Charuco, TargetDetection, parse_target
 
 BOARD = "charuco:7x5:0.030:0.021:DICT_4X4_50"
 CAMERA = Intrinsics(
@@ -87,7 +87,9 @@ def by_corners(
     seen = []
     for board in boards:
         pixels = CAMERA.project(points @ board[:3, :3].T + board[:3, 3])
-        seen.append(Seen(np.arange(len(points)), pixels + rng.normal(0, noise_px, pixels.shape), points))
+        seen.append(
+            TargetDetection(np.arange(len(points)), pixels + rng.normal(0, noise_px, pixels.shape), points)
+        )
     hands = shaken(rng, hands_of(mount, boards), arm * np.array(ARM_NOISE))
     return HandEyeViews.from_seen(mount, list(hands), seen, CAMERA)
 

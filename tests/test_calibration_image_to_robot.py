@@ -11,15 +11,14 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from baggie.calibration.files import CameraIdentity
-from baggie.calibration.image_to_robot.map import ImageToRobot, compare
+from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison, draw_residuals, lattice
 from baggie.collect.calibrate import calibrate
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import Rectangle, apply_homography, wrap_angle
-from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.plan import View
-from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration
+from baggie.policies.keypoint.policy import KeypointNet, KeypointPolicy, as_calibration
+from baggie.policies.planning import View
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
 from baggie.vision.color_mask import find_bag
@@ -390,7 +389,7 @@ def shifted(by_m, heights=TWO_HEIGHTS, robot_area=WORKSPACE):
 
 def test_a_comparison_tells_what_was_shifted():
     a, b = shifted((0.0, 0.0)), shifted((0.002, -0.001))
-    same, other = compare(a, a), compare(a, b, WORKSPACE)
+    same, other = compare_maps(a, a), compare_maps(a, b, WORKSPACE)
     assert same.max_mm < 1e-6
     assert np.allclose(other.shift_mm, [2.0, -1.0], atol=0.05)
     assert other.rms_mm == pytest.approx(np.sqrt(5), abs=0.05)
@@ -400,14 +399,14 @@ def test_a_comparison_tells_what_was_shifted():
 def test_maps_are_compared_at_a_height_both_know_and_in_pictures_of_any_size():
     space, flat = fitted(known=True), fitted(heights=ONE_HEIGHT)
     for a, b in ((space.at_height(0.2), flat), (flat, space.at_height(0.2))):
-        comparison = compare(a.for_size((640, 360)), b)
+        comparison = compare_maps(a.for_size((640, 360)), b)
         assert comparison.height_m == 0.05
         assert comparison.rms_mm < 0.6
     with pytest.raises(CalibrationError, match="one height only"):
-        compare(flat, fitted(heights=(0.15,)))
+        compare_maps(flat, fitted(heights=(0.15,)))
     elsewhere = shifted((0.0, 0.0), robot_area=Rectangle(0.7, 0.9, -0.3, 0.3))
     with pytest.raises(CalibrationError, match="one area"):
-        compare(space, elsewhere)
+        compare_maps(space, elsewhere)
 
 
 def test_pictures_are_drawn_and_show_dropped_points(tmp_path):
@@ -420,7 +419,7 @@ def test_pictures_are_drawn_and_show_dropped_points(tmp_path):
     pixels[[3, 17]] += 25
     draw_residuals(ImageToRobot.fit(pixels, robot, CAMERA), tmp_path / "dropped.png")
     assert red(tmp_path / "dropped.png") > red(tmp_path / "clean.png") == 0
-    draw_comparison(compare(fitted(), fitted(known=True)), tmp_path / "comparison.png")
+    draw_comparison(compare_maps(fitted(), fitted(known=True)), tmp_path / "comparison.png")
     assert cv2.imread(str(tmp_path / "comparison.png")).shape[1] > 500
     with pytest.raises(DataError, match="cannot be written"):
         draw_residuals(fitted(), tmp_path / "clean.png" / "below.png")
@@ -449,7 +448,7 @@ def test_a_learned_map_becomes_a_calibration_and_can_be_compared():
     assert np.abs(learned.to_robot(pixels) - own).max() < 2e-4
     assert (learned.height_m, learned.camera.size) == (0.015, (640, 360))
     true = fitted(known=True, noise_px=0.0)
-    assert compare(true, learned).rms_mm < 0.5
+    assert compare_maps(true, learned).rms_mm < 0.5
 
 
 def test_an_untrained_map_is_no_calibration():

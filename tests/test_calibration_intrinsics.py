@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.intrinsics.camera_calibration import (
     CameraCalibration,
-    draw_coverage,
+    draw_corner_errors,
     import_intrinsics,
 )
 from baggie.calibration.intrinsics.fit import (
@@ -33,7 +33,7 @@ from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import rigid, transform_points
 from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
-from baggie.vision.targets import Seen, parse_target
+from baggie.vision.targets import TargetDetection, parse_target
 from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 BOARD = parse_target("charuco:7x5:0.030:0.021:DICT_4X4_50")
@@ -49,7 +49,7 @@ def parameters(lens):
 
 def seen_at(pose, rng, noise, lens=TRUE):
     pixels = lens.project(transform_points(pose, BOARD.points))
-    return Seen(np.arange(len(pixels)), pixels + rng.normal(0, noise, pixels.shape), BOARD.points)
+    return TargetDetection(np.arange(len(pixels)), pixels + rng.normal(0, noise, pixels.shape), BOARD.points)
 
 
 def views(count, noise=0.1, seed=0, lens=TRUE, tilt=0.6):
@@ -334,7 +334,7 @@ def test_following_the_advice_ends_with_enough():
 
 def test_a_board_is_new_when_moved_tilted_or_turned_but_not_when_held():
     kept = [placed((0.5, 0.5))]
-    held = Seen(kept[0].seen.ids, kept[0].seen.pixels + np.array([3.0, -2.0]), BOARD.points)
+    held = TargetDetection(kept[0].seen.ids, kept[0].seen.pixels + np.array([3.0, -2.0]), BOARD.points)
     assert not is_new(kept, held)
     assert is_new([], held)
     for other in (
@@ -537,12 +537,12 @@ def test_an_inverse_model_without_coefficients_is_the_same_model(tmp_path):
 
 
 def test_coverage_is_drawn(calibration, tmp_path):
-    draw_coverage(calibration, tmp_path / "new" / "camera.png")
+    draw_corner_errors(calibration, tmp_path / "new" / "camera.png")
     with Pillow.open(tmp_path / "new" / "camera.png") as picture:
         assert np.asarray(picture.convert("L")).std() > 5
     calibration.save(tmp_path / "camera.yaml")
     with pytest.raises(CalibrationError, match="no corners to draw"):
-        draw_coverage(CameraCalibration.load(tmp_path / "camera.yaml"), tmp_path / "again.png")
+        draw_corner_errors(CameraCalibration.load(tmp_path / "camera.yaml"), tmp_path / "again.png")
 
 
 # Pictures

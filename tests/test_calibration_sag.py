@@ -13,6 +13,7 @@ from PIL import Image as Pillow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from baggie.calibration.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import solve_hand_eye
 from baggie.calibration.hand_eye.views import HandEyeViews, read_views
@@ -21,16 +22,15 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import BoardView, fit_intrinsics
 from baggie.calibration.intrinsics.lens import DISTORTION, USUAL_SAG, LensGuess, fit_lens, settle_lens
 from baggie.calibration.intrinsics.views import corner_noise_px
-from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.commissioning.intrinsics import calibrate_intrinsics
 from baggie.commissioning.printed import points_to_touch
 from baggie.commissioning.robot_to_world import calibrate_camera_to_world, calibrate_robot_to_world_live
 from baggie.errors import DataError
 from baggie.geometry import difference, from_vector, invert_transform, rigid, transform_points
-from baggie.options.calibrating import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
+from baggie.options.commissioning import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
-from baggie.vision.targets import Seen, parse_target, with_sag
+from baggie.vision.targets import TargetDetection, parse_target, with_sag
 from helpers.board_pictures import lens_error_px, random_pose, render_board
 
 BOARD = parse_target("chessboard:10x7:0.025")
@@ -47,7 +47,7 @@ SHAPES = [Sag(3e-4, 1e-4), Sag(-3e-3, 2e-3)]
 def seen_at(pose, points, rng, noise, board=BOARD):
     """The flat board's points, seen where those of `points` are."""
     pixels = TRUE.project(transform_points(pose, points))
-    return Seen(np.arange(len(pixels)), pixels + rng.normal(0, noise, pixels.shape), board.points)
+    return TargetDetection(np.arange(len(pixels)), pixels + rng.normal(0, noise, pixels.shape), board.points)
 
 
 def views(points, count=12, noise=0.02):
@@ -196,10 +196,10 @@ def test_the_corners_noise_is_told_from_what_moves_them_together():
         x, y = BOARD.points[:, :2].T
         smooth = np.c_[1 + 200 * x * y, 3 * x - 40 * y**2]
         wrong = np.where(rng.random((70, 1)) < 0.03, 5.0, 0.0)
-        seen.append(Seen(np.arange(70), np.zeros((70, 2)), BOARD.points))
+        seen.append(TargetDetection(np.arange(70), np.zeros((70, 2)), BOARD.points))
         off.append(noise + smooth + wrong)
     assert corner_noise_px(seen, off) == pytest.approx(0.02 * np.sqrt(2), rel=0.2)
-    row = [Seen(view.ids[:3], view.pixels[:3], view.points[:3]) for view in seen]
+    row = [TargetDetection(view.ids[:3], view.pixels[:3], view.points[:3]) for view in seen]
     assert corner_noise_px(row, [each[:3] for each in off]) is None
 
 

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from baggie.calibration.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.pose import UncertainTransform
-from baggie.calibration.world.camera_to_world import T_WORLD_TARGET, CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import (
+from baggie.calibration.robot_to_world import (
     CameraToRobot,
     RobotToWorld,
-    compare,
+    compare_calibrations,
     compose,
     fit_from_axes,
     fit_from_points,
@@ -25,7 +25,7 @@ from baggie.errors import CalibrationError, DataError
 from baggie.geometry import FloatArray, difference, invert_transform, rigid, transform_points
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
-from baggie.vision.targets import Seen, Target, parse_target
+from baggie.vision.targets import Target, TargetDetection, parse_target
 
 CAMERA = CameraIdentity("top", 1280, 720)
 BOARD = parse_target("charuco:9x6:0.045:0.033:DICT_5X5_100")
@@ -67,14 +67,16 @@ def photograph(
     *,
     common_px: float = 0.0,
     frame_px: float = 0.0,
-) -> list[Seen]:
+) -> list[TargetDetection]:
     """Detections whose noise is partly the same in all frames."""
     T_camera_target = invert_transform(T_world_camera) @ T_WORLD_TARGET
     pixels = intrinsics.project(transform_points(T_camera_target, target.points))
     inside = ((pixels > 5) & (pixels < [1274, 714])).all(axis=1)
     pixels = pixels[inside] + rng.normal(0, common_px, pixels[inside].shape)
     return [
-        Seen(np.flatnonzero(inside), pixels + rng.normal(0, frame_px, pixels.shape), target.points[inside])
+        TargetDetection(
+            np.flatnonzero(inside), pixels + rng.normal(0, frame_px, pixels.shape), target.points[inside]
+        )
         for _ in range(frames)
     ]
 
@@ -236,7 +238,10 @@ def test_what_cannot_be_trusted_is_refused_in_one_line() -> None:
     assert not fresh.warnings
 
     def refused(
-        why: str, frames: list[Seen], lens: Intrinsics = intrinsics, camera: CameraIdentity = CAMERA
+        why: str,
+        frames: list[TargetDetection],
+        lens: Intrinsics = intrinsics,
+        camera: CameraIdentity = CAMERA,
     ) -> None:
         with pytest.raises(CalibrationError, match=why) as caught:
             fit_camera_to_world(frames, BOARD, camera, lens)
@@ -244,10 +249,10 @@ def test_what_cannot_be_trusted_is_refused_in_one_line() -> None:
 
     refused("at least one picture", [])
     refused("640 x 360", frames, camera=CameraIdentity("top", 640, 360))
-    some = [Seen(f.ids[:4], f.pixels[:4], f.points[:4]) for f in frames]
+    some = [TargetDetection(f.ids[:4], f.pixels[:4], f.points[:4]) for f in frames]
     refused("at least 6 corners", some)
     row = frames[0].points[:, 1] == frames[0].points[0, 1]
-    refused("on one line", [Seen(f.ids[row], f.pixels[row], f.points[row]) for f in frames])
+    refused("on one line", [TargetDetection(f.ids[row], f.pixels[row], f.points[row]) for f in frames])
     refused("behind the paper", [replace(f, points=f.points * [-1, 1, 1]) for f in frames])
     refused("from its paper", photograph(BOARD, intrinsics, view(78, 1.0), rng, 3))
     shuffled = rng.permutation(len(frames[0].ids))
@@ -425,12 +430,12 @@ def test_calibrations_agree_within_what_both_state() -> None:
     a = CameraToRobot(CAMERA, UncertainTransform(rigid(np.eye(3), [0.5, 0.0, 0.8]), covariance), "a")
     near = replace(a, pose=UncertainTransform(rigid(np.eye(3), [0.502, 0.0, 0.8]), covariance))
     far = replace(a, pose=UncertainTransform(rigid(np.eye(3), [0.51, 0.0, 0.8]), covariance))
-    assert compare(a, near).mm == pytest.approx(2)
-    assert compare(a, near).agree
-    assert not compare(a, far).agree
-    assert compare(a, far) == compare(far, a)
+    assert compare_calibrations(a, near).mm == pytest.approx(2)
+    assert compare_calibrations(a, near).agree
+    assert not compare_calibrations(a, far).agree
+    assert compare_calibrations(a, far) == compare_calibrations(far, a)
     with pytest.raises(CalibrationError, match="'side'"):
-        compare(a, replace(a, camera=CameraIdentity("side", 1280, 720)))
+        compare_calibrations(a, replace(a, camera=CameraIdentity("side", 1280, 720)))
 
 
 # On disk

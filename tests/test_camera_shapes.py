@@ -22,9 +22,9 @@ from baggie.evaluation.closed_loop import evaluate
 from baggie.evaluation.validate import validate
 from baggie.learning import KeypointTraining, train
 from baggie.options.collecting import CollectOptions
+from baggie.options.commissioning import LabOptions
 from baggie.options.evaluating import EvaluateOptions, ExportOptions, ReportOptions, ValidateOptions
 from baggie.options.training import TRAININGS
-from baggie.options.workcells import LabOptions
 from baggie.pictures import LONGEST_RECORDED, recorded_size, same_shape, write_picture
 from baggie.policies import checkpoint, load_policy
 from baggie.policies.export import export
@@ -46,7 +46,7 @@ sizes = st.tuples(st.integers(120, 4096), st.integers(120, 4096))
 def _hardly_taught(monkeypatch):
     """Two steps teach no network to be sure of what it sees; where a picture leads is told by any."""
     torch.set_num_threads(1)
-    monkeypatch.setattr("baggie.policies.keypoint.plan._IN_SIGHT", 0.0)
+    monkeypatch.setattr("baggie.policies.planning._IN_SIGHT", 0.0)
 
 
 def open_shape(_number, size):
@@ -223,7 +223,7 @@ def test_an_older_policy_squeezes_as_the_picture_beside_it_says(squeezed, tmp_pa
 
 
 def test_the_colour_mask_is_right_on_squeezed_pictures(squeezed, tmp_path, below):
-    from baggie.policies.color_mask import ColorMaskPolicy
+    from baggie.policies.baselines import ColorMaskPolicy
 
     ColorMaskPolicy(image_to_robot((640, 480)), (200, 40, 40)).save(squeezed / CALIBRATION_FOLDER)
     metrics = validate(ValidateOptions("color-mask", squeezed, tmp_path))

@@ -19,7 +19,7 @@ from baggie.learning.symmetry import check_symmetries, found_symmetries
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.types import Observation, PickPlace
-from baggie.vision.carried import Carried, Things, middle_of, place_belongs_to, place_of, with_turn
+from baggie.vision.carried import Carried, ObjectMap, middle_of, place_belongs_to, place_of, with_turn
 from helpers.box_scenes import GRID, TABLE, box_attempts
 from helpers.outlines import after, drawn, shape
 
@@ -154,7 +154,7 @@ def test_a_place_belongs_to_what_encloses_or_touches_the_thing_there_or_to_a_mar
     ring = drawn(shape(0, 20.0, 0.0, [80.0, 80.0]), 0.01)
     ring[drawn(shape(0, 11.0, 0.0, [80.0, 80.0])) > 0] = 0
     heights = drawn(shape(4, 7.0, 0.1, [30.0, 30.0]), onto=ring)
-    things, color = Things.on(heights), np.full((*GRID.shape, 3), TABLE, np.uint8)
+    things, color = ObjectMap.on(heights), np.full((*GRID.shape, 3), TABLE, np.uint8)
     enclosing = things.footprints[80, 95]
     assert enclosing > 0
     assert things.at(np.array([[80.0, 80.0]]))[0] == 0  # the place itself is bare table
@@ -264,7 +264,7 @@ def test_what_is_learned_puts_the_thing_where_it_was_shown(seed, by_the_thing):
         right = place_of(moved.middle, moved.places, float(moved.yaws[1] - moved.yaws[0]))
         assume(((np.array([u, v]) > 0) & (np.array([u, v]) < 127)).all())
         assert ends == pytest.approx(right, abs=1e-6)
-        things = Things.on(moved.height)
+        things = ObjectMap.on(moved.height)
         assert things.at(moved.places[:1])[0] > 0
         if ((right > 24) & (right < 104)).all():  # the ring is on the map, too
             lies = np.hypot(*(np.mgrid[:128, :128][::-1] - right[:, None, None])) < 8

@@ -28,9 +28,9 @@ from baggie.evaluation.scored_plans import (
 from baggie.evaluation.validate import validate
 from baggie.geometry import Grid, PlanarPose, planar_pose, wrap_angle
 from baggie.learning.demonstrations import carried_in
-from baggie.learning.measure import measure
 from baggie.learning.split import with_after
 from baggie.learning.symmetry import turn_onto
+from baggie.learning.train import plan_errors
 from baggie.metrics import action_errors, success_rate
 from baggie.options.evaluating import ValidateOptions
 from baggie.registry import TASKS
@@ -531,13 +531,13 @@ class ByTheMiddle:
 
 def test_training_measures_places_as_validation_does(tmp_path, episode):
     first = replace(with_after(episode)[0], object_symmetry=4)
-    trained = measure(ByTheMiddle(), [first])["labels"]
+    trained = plan_errors(ByTheMiddle(), [first])["labels"]
     known = with_what_was_carried(recorded(tmp_path / "a", episode), predictions(episode))[0]
     plan = ByTheMiddle().plan(first.before).action
     validated = replace(known, action=plan, stands=carried_in(first).stood_at(plan.pick, first.before.grid))
     assert trained["place_error_cm"]["max"] == pytest.approx(validated.errors()["labels"]["place_error_cm"])
     assert trained["place_error_cm"]["max"] < 0.2
-    elsewhere = measure(ByTheMiddle(), [replace(first, after=None)])["labels"]
+    elsewhere = plan_errors(ByTheMiddle(), [replace(first, after=None)])["labels"]
     assert elsewhere["place_error_cm"]["max"] == pytest.approx(
         2.83, abs=0.01
     )  # by the hand, as nothing tells

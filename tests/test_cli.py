@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from baggie.cli.main import main
-from baggie.cli.output import show
+from baggie.cli.main import main, show
 from baggie.cli.verbs import BAGGIE, Group, Verb
 from baggie.options.training import TRAININGS
 from baggie.registry import TASKS, Registry, named
@@ -90,10 +89,7 @@ def test_what_only_talks_imports_nothing_that_takes_long(words: str) -> None:
     "module",
     [
         "",
-        *(
-            f".options.{room}"
-            for room in ("collecting", "training", "evaluating", "calibrating", "workcells")
-        ),
+        *(f".options.{room}" for room in ("collecting", "training", "evaluating", "commissioning")),
     ],
 )
 def test_baggie_itself_and_options_import_nothing_that_takes_long(module: str) -> None:

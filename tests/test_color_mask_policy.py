@@ -8,7 +8,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.policies.baselines import ColorMaskPolicy
 from baggie.types import Goal, Observation
 from helpers.fake_workcell import FakeCell
 

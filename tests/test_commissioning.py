@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.hand_eye.solve import HandEye
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.camera_to_world import CameraToWorld
-from baggie.calibration.world.robot_to_world import CameraToRobot
+from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cli.main import main
 from baggie.commissioning.assistant import Person
 from baggie.commissioning.check import check_live
@@ -31,13 +31,13 @@ from baggie.commissioning.printed import NAMED, T_world_target, points_to_touch
 from baggie.commissioning.session import ViewFolder, open_bench
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import difference, invert_transform, transform_points
-from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
-from baggie.options.choices import BOARD, HAND_MARKER
+from baggie.options.commissioning import CheckOptions, ImageToRobotOptions
+from baggie.options.values import BOARD, HAND_MARKER
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
-from baggie.vision.targets import Marker, parse_target
+from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.config import open_workcell
 from helpers.board_pictures import random_pose, render_board
 from helpers.fake_workcell import FakeArm, FakeCell
@@ -263,7 +263,7 @@ def test_a_view_folder_keeps_what_it_was_given_and_refuses_another_beginning(tmp
 def test_a_marker_s_middle_is_where_its_diagonals_cross() -> None:
     lens = Intrinsics(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5))
     marker = parse_target("aruco:DICT_4X4_50:0:0.10")
-    assert isinstance(marker, Marker)
+    assert isinstance(marker, ArucoMarker)
     rng = np.random.default_rng(1)
     for _ in range(4):
         pose = random_pose(marker, lens, rng, near=0.3)

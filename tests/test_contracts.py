@@ -22,7 +22,7 @@ from pathlib import Path
 import baggie, gymnasium
 from baggie.cli.main import main
 from baggie.collect.task_contract import check_task
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.registry import TASKS
 from baggie_tray.policy import HighestPolicy
 

@@ -49,7 +49,7 @@ def of_kind(kind: str) -> list[Block]:
 @pytest.fixture
 def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Verbs read their words and do nothing."""
-    monkeypatch.setattr(cli, "named", MagicMock())
+    monkeypatch.setattr(cli, "carry_out", MagicMock())
 
 
 def understood(command: str) -> bool:

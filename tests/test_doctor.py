@@ -13,7 +13,7 @@ from baggie.commissioning.doctor import Finding, examine, require_healthy
 from baggie.commissioning.health import HELPED
 from baggie.errors import ArmError, BaggieError, CameraError
 from baggie.geometry import ToolPose
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import DoctorOptions
 from baggie.sim.arm import SimulatedArm
 from baggie.sim.arm_world import ArmWorld
 from baggie.types import Observation

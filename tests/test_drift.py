@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
-from baggie.vision.drift import Landmarks, Shift, Template, relief
+from baggie.vision.drift import Landmarks, Shift, Template, local_contrast
 from baggie.workcell.simulated import SimulatedWorkcell
 
 SIZE = (1280, 720)
@@ -153,7 +153,7 @@ def test_bad_input_is_refused_in_one_line() -> None:
 @few
 def test_aligning_undoes_a_motion(du: float, dv: float) -> None:
     """Without noise, to less than a tenth of a pixel where there is something to see."""
-    still = relief(cv2.GaussianBlur(TABLE, (0, 0), 4), 400)
+    still = local_contrast(cv2.GaussianBlur(TABLE, (0, 0), 4), 400)
     moved = cv2.warpPerspective(still, shifted(du, dv), still.shape[::-1], flags=cv2.INTER_CUBIC)
     template = Template(still)
     found = template.align(moved)

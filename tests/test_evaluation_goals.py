@@ -20,9 +20,9 @@ from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_episodes
 from baggie.evaluation.setup import Setup, card_map
 from baggie.geometry import PlanarPose, Rectangle
-from baggie.options.choices import CARD_COLOR
 from baggie.options.evaluating import EvaluateOptions
-from baggie.policies.oracle import OraclePolicy
+from baggie.options.values import CARD_COLOR
+from baggie.policies.baselines import OraclePolicy
 from baggie.sim.bag import Bag
 from baggie.tasks.conditions import State
 from baggie.tasks.task import Scene

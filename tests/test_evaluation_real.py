@@ -19,8 +19,8 @@ from baggie.evaluation.setup import ObjectFinder, Setup, open_setup
 from baggie.geometry import PlanarPose
 from baggie.options.evaluating import ReportOptions
 from baggie.policies import ColorMaskPolicy, KeypointPolicy
-from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.plan import View
+from baggie.policies.keypoint.policy import KeypointNet
+from baggie.policies.planning import View
 from baggie.report.report import report
 from baggie.types import Outcome
 from baggie.workcell.by_color import detect

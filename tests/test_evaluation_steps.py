@@ -20,7 +20,7 @@ from baggie.metrics import success_rate, turn_error_deg
 from baggie.options.evaluating import ValidateOptions
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
-from baggie.sim.blocks import Block
+from baggie.sim.objects import Block
 from baggie.tasks import demonstrator as varied
 from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import next_action, varied_action

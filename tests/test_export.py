@@ -20,11 +20,11 @@ from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError, install_extra
 from baggie.geometry import Grid
 from baggie.policies import KeypointPolicy, RegressionPolicy, export, load_policy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.policies.exported import ExportedKeypoint, ExportedRegression
-from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.plan import GoalInput, Reading, View
-from baggie.policies.regression.policy import RegressionNet
+from baggie.policies.keypoint.policy import KeypointNet
+from baggie.policies.planning import GoalInput, Reading, View
+from baggie.policies.regression import RegressionNet
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy

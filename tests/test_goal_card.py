@@ -10,7 +10,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.errors import BaggieError, CalibrationError
 from baggie.geometry import PlanarPose
-from baggie.options.choices import CARD_COLOR
+from baggie.options.values import CARD_COLOR
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
 from baggie.vision.goal_card import find_card, measure_color

@@ -24,8 +24,7 @@ from baggie.commissioning.check import _object_height_m
 from baggie.commissioning.doctor import examine
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, ToolPose
-from baggie.options.calibrating import CheckOptions
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import CheckOptions, DoctorOptions
 from baggie.robot.arm import ArmInfo
 from baggie.robot.handling_rules import ROOM_M, SIMULATED_HANDLING, Thing, contradiction, handled
 from baggie.robot.limits import GuardedArm

@@ -34,10 +34,9 @@ from baggie.commissioning.doctor import examine
 from baggie.commissioning.image_to_robot import calibrate_image_to_robot
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError, StuckError
 from baggie.geometry import PlanarPose, ToolPose
-from baggie.lab.robot import TICKS_PER_STEP, LabRobot, Trail, pose_difference
+from baggie.lab.robot import TICKS_PER_STEP, CommandState, LabRobot, pose_difference
 from baggie.lab.web import LabControl
-from baggie.options.calibrating import CheckOptions, ImageToRobotOptions
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import CheckOptions, DoctorOptions, ImageToRobotOptions
 from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
 from baggie.sim.world import World
@@ -415,11 +414,11 @@ def test_what_chatters_for_three_steps_is_not_felt_and_what_lasts_is(monkeypatch
 
 def test_a_trail_knows_velocity_and_acceleration_of_what_was_commanded() -> None:
     moments = 0.001 * np.arange(6)
-    trail = Trail(turned(0.0), pose_difference)
+    command = CommandState(turned(0.0), pose_difference)
     for moment in moments[1:]:
-        trail.take(turned(moment), 0.001)
-    np.testing.assert_allclose(trail.velocity, [0.3, 0, 4.0 * moments[-2:].sum() / 2, 0, 0, 0.5], atol=1e-6)
-    np.testing.assert_allclose(trail.acceleration, [0, 0, 4.0, 0, 0, 0], atol=1e-5)
+        command.take(turned(moment), 0.001)
+    np.testing.assert_allclose(command.velocity, [0.3, 0, 4.0 * moments[-2:].sum() / 2, 0, 0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(command.acceleration, [0, 0, 4.0, 0, 0, 0], atol=1e-5)
 
 
 def turned(moment: float) -> np.ndarray:

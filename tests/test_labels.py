@@ -8,10 +8,10 @@ import pytest
 
 from baggie.data.summary import goal_of
 from baggie.geometry import PlanarPose
-from baggie.learning.augmentation import as_it_is
-from baggie.learning.labels import Labels
+from baggie.learning.augmentation import unchanged
+from baggie.learning.samples import Labels
 from baggie.policies.keypoint.heads import PlanarMap
-from baggie.policies.keypoint.plan import View
+from baggie.policies.planning import View
 from baggie.types import PickPlace
 from helpers.synthetic import WORKSPACE, box_corners, make_attempt
 
@@ -98,8 +98,8 @@ def test_a_label_that_does_not_fit_is_doubted_and_loses_its_weight(what, column)
     poses[column] = PlanarPose(poses[column].x + 0.05, poses[column].y, poses[column].yaw)
     attempts[20] = replace(attempts[20], outcome=replace(attempts[20].outcome, executed=PickPlace(*poses)))
     labels = Labels.of(attempts, VIEW, PlanarMap())
-    assert (labels.doubts[0].attempt_id, labels.doubts[0].what) == (20, what)
-    assert labels.doubts[0].off_mm == pytest.approx(50, abs=10)
+    assert (labels.outliers[0].attempt_id, labels.outliers[0].what) == (20, what)
+    assert labels.outliers[0].off_mm == pytest.approx(50, abs=10)
     assert labels.weight[20, column] < 0.1
     assert np.median(labels.weight) == pytest.approx(1)
 
@@ -131,5 +131,5 @@ def test_what_an_attempt_says_of_its_object_counts_and_not_how_it_looks():
     attempts[5] = replace(attempts[5], box_before=longer)  # squeezed, say
     labels = Labels.of(attempts, VIEW, PlanarMap())
     assert labels.symmetry.tolist() == [4] * 3 + [2, 0] + [4] * 35
-    drawn = [as_it_is(0.3, int(symmetry)).phases for symmetry in labels.symmetry[3:6]]
+    drawn = [unchanged(0.3, int(symmetry)).phases for symmetry in labels.symmetry[3:6]]
     assert drawn == [(1.0, 1.0), (0.0, 0.0), (1.0, 0.0)]

@@ -24,20 +24,19 @@ from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.learning import TrainOptions, train
-from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate
-from baggie.learning.labels import SYSTEMATIC_M, Disagreement
-from baggie.learning.loop import FILE, State, Training, deferred_interrupt, prefetched
-from baggie.learning.measure import measure
+from baggie.learning.keypoint import KeypointOptions, KeypointRecipe, calibrate_radii
+from baggie.learning.loop import FILE, TrainingLoop, TrainingState, deferred_interrupt, prefetched
 from baggie.learning.regression import RegressionRecipe
-from baggie.learning.samples import Changes
+from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement
 from baggie.learning.split import USUAL_TRAIN, USUAL_VAL, Split, shares
+from baggie.learning.train import plan_errors
 from baggie.metrics import yaw_error_deg
 from baggie.operator import Nobody
 from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.policies.keypoint import heads as planar_map
-from baggie.policies.regression.policy import ResNet18
+from baggie.policies.regression import ResNet18
 from baggie.types import Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
 from helpers.synthetic import box_corners, make_attempt
@@ -148,7 +147,7 @@ def test_warped_labels_are_exact():
     recipe = KeypointRecipe(ATTEMPTS)
     for seed in range(5):
         batch = recipe.batch(np.random.default_rng(seed))
-        points = planar_map.apply(batch["to_picture"].unsqueeze(1), batch["cells"])
+        points = planar_map.apply_homographies(batch["to_picture"].unsqueeze(1), batch["cells"])
         found = recipe.policy.network.to_robot(points)
         assert torch.allclose(found, batch["xy"], atol=2e-5)
 
@@ -265,7 +264,7 @@ class SecondOfTwo:
 
 
 def test_ctrl_c_stops_all_processes_after_the_same_step(tmp_path):
-    training = Training(
+    training = TrainingLoop(
         KeypointRecipe(ATTEMPTS[:8]),
         tmp_path,
         steps=6,
@@ -316,7 +315,8 @@ def test_ctrl_c_that_one_of_two_processes_hears_ends_and_saves_both(tmp_path):
 def test_a_training_goes_on_where_it_was_begun_and_nowhere_else(tmp_path):
     part = torch.nn.Linear(1, 1)
     begun, elsewhere = (
-        State(part, torch.optim.SGD(part.parameters()), None, where) for where in ("cuda with 2", "cpu")
+        TrainingState(part, torch.optim.SGD(part.parameters()), None, where)
+        for where in ("cuda with 2", "cpu")
     )
     begun.save(tmp_path)
     begun.load(tmp_path)
@@ -455,10 +455,10 @@ def test_a_folder_that_cannot_be_written(tmp_path):
 def test_goals_a_policy_cannot_tell_are_counted(overfitted):
     policy = load_policy(overfitted)
     far = replace(ATTEMPTS[9], box_after=np.array([[5.0, 5], [25, 5], [25, 25], [5, 25]]))
-    measured = measure(policy, [ATTEMPTS[8], far])
+    measured = plan_errors(policy, [ATTEMPTS[8], far])
     assert measured["without_plan"] == 1
     assert measured["labels"]["pick_error_cm"]["n"] == 1
-    assert measure(policy, [far]) == {"without_plan": 1}
+    assert plan_errors(policy, [far]) == {"without_plan": 1}
 
 
 @pytest.mark.parametrize(("symmetry", "off_deg"), [(1, 90), (2, 90), (4, 0), (0, 0)])
@@ -470,7 +470,7 @@ def test_yaws_are_compared_modulo_the_object_s_symmetry(symmetry, off_deg):
             right = next(a for a in ATTEMPTS if a.before is observation).outcome.executed
             return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
 
-    labels = measure(QuarterTurned(), ATTEMPTS[:3], symmetry)["labels"]
+    labels = plan_errors(QuarterTurned(), ATTEMPTS[:3], symmetry)["labels"]
     assert labels["pick_yaw_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
     assert labels["turn_error_deg"]["max"] == pytest.approx(off_deg, abs=1e-6)
     assert labels["place_yaw_error_deg"]["max"] == pytest.approx(0)
@@ -487,7 +487,7 @@ def test_yaws_are_compared_as_each_attempt_says(symmetry, off_deg):
             right = ATTEMPTS[0].outcome.executed
             return Plan(replace(right, pick=replace(right.pick, yaw=right.pick.yaw + np.pi / 2)))
 
-    errors = measure(QuarterTurned(), [square, other])["labels"]["pick_yaw_error_deg"]
+    errors = plan_errors(QuarterTurned(), [square, other])["labels"]["pick_yaw_error_deg"]
     assert errors["mean"] == pytest.approx(off_deg / 2, abs=1e-6)
 
 
@@ -583,7 +583,7 @@ def test_radii_hold_nine_of_ten_errors_of_the_attempts_they_were_set_on_and_abou
     policy = load_policy(overfitted)
     _, held_out, new = np.split(np.array(make_attempts(70), dtype=object), [10, 30])
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
-    assert calibrate(policy, list(held_out), agreed, 2) is not None
+    assert calibrate_radii(policy, list(held_out), agreed, 2) is not None
     picks, places = inside_radii(policy, held_out)
     assert places == 19  # ⌈0.9 · 21⌉ of 20
     assert picks >= 19
@@ -597,7 +597,7 @@ def test_a_second_opinion_narrows_what_labels_may_be_off_alike(overfitted):
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
     radii = []
     for opinions in (1, 2):
-        calibrate(policy, held_out, agreed, opinions)
+        calibrate_radii(policy, held_out, agreed, opinions)
         plan = policy.plan(picture, goal)
         radii.append((plan.pick_within_m, plan.place_within_m))
     assert radii[0][0] ** 2 - radii[1][0] ** 2 == pytest.approx(SYSTEMATIC_M**2 / 2 * math.log(10), rel=1e-3)
@@ -607,7 +607,7 @@ def test_a_second_opinion_narrows_what_labels_may_be_off_alike(overfitted):
 def test_without_enough_held_out_attempts_nothing_is_said(overfitted):
     policy = load_policy(overfitted)
     agreed = Disagreement(np.zeros(2), np.ones(2), np.zeros((3, 2)))
-    assert calibrate(policy, ATTEMPTS[:9], agreed, 2) is None
+    assert calibrate_radii(policy, ATTEMPTS[:9], agreed, 2) is None
     plan = policy.plan(ATTEMPTS[0].before, goal_of(ATTEMPTS[0]))
     assert plan.pick_within_m is None
     assert plan.place_within_m is None

@@ -13,7 +13,7 @@ from baggie.cameras.camera import CameraSettings, Kind
 from baggie.commissioning.new_workcell import ARMS, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
-from baggie.options.workcells import NewWorkcellOptions
+from baggie.options.commissioning import NewWorkcellOptions
 from baggie.workcell.workcell_file import (
     ArmEntry,
     Bag,

@@ -18,10 +18,10 @@ from baggie.policies import (
     RegressionPolicy,
     load_policy,
 )
-from baggie.policies.contract import check_policy
-from baggie.policies.keypoint.network import KeypointNet
-from baggie.policies.keypoint.plan import View
-from baggie.policies.regression.policy import RegressionNet, Regressor, ResNet18, load_imagenet
+from baggie.policies.base import check_policy
+from baggie.policies.keypoint.policy import KeypointNet
+from baggie.policies.planning import View
+from baggie.policies.regression import RegressionNet, Regressor, ResNet18, load_imagenet
 from helpers.synthetic import box_corners, make_attempt
 
 SIZE = (640, 360)

@@ -21,7 +21,7 @@ from baggie.policies.keypoint.heads import (
     near_only,
     soft_argmax,
 )
-from baggie.policies.keypoint.plan import CELLS_TO_INPUT, GoalInput, Reading, View, place_yaw, plan
+from baggie.policies.planning import CELLS_TO_INPUT, GoalInput, Reading, View, keypoint_plan, place_yaw
 from baggie.sim.variety import BAGS_M
 from baggie.types import Goal, Observation
 from baggie.workcell.by_color import detect
@@ -200,8 +200,8 @@ def test_jacobians_agree_with_automatic_differentiation(seed, u, v):
     exact = torch.autograd.functional.jacobian(to_robot, point)
     assert torch.allclose(to_robot.jacobian(point), exact, atol=1e-9)
     matrix = to_robot.matrix().detach()
-    exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply(matrix, p), point)
-    assert torch.allclose(planar_map.jacobian(matrix, point), exact, atol=1e-9)
+    exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply_homographies(matrix, p), point)
+    assert torch.allclose(planar_map.homography_jacobian(matrix, point), exact, atol=1e-9)
 
 
 @settings(deadline=None)
@@ -219,7 +219,7 @@ def test_yaw_survives_any_view(yaw, turn, stretch, mirrored, symmetry):
     angle = torch.tensor(yaw, dtype=torch.float64)
     there = phase.phase_of(angle, jacobian, symmetry)
     assert there.norm().item() == pytest.approx(1)
-    back = phase.yaw_of(there, jacobian, symmetry).item()
+    back = phase.yaw_of_phase(there, jacobian, symmetry).item()
     assert math.remainder(back - yaw, 2 * math.pi / symmetry) == pytest.approx(0, abs=1e-3)
 
 
@@ -270,8 +270,10 @@ def test_what_is_pointed_at_is_looked_for_as_far_as_its_middle_and_no_further_th
     goal = Goal(box_corners(PlanarPose(0.5, 0.0), size))
     pointed = to_pixels(np.array([[x, y, BAG_HEIGHT_M / 2]]), size)[0]
     picture = Observation(np.zeros((360, 640, 3), np.uint8))
-    plan(read, view, GoalInput(), picture, Goal(goal.corners, object_at=tuple(pointed)), camera_size=size)
-    plan(read, view, GoalInput(), picture, goal, camera_size=size)
+    keypoint_plan(
+        read, view, GoalInput(), picture, Goal(goal.corners, object_at=tuple(pointed)), camera_size=size
+    )
+    keypoint_plan(read, view, GoalInput(), picture, goal, camera_size=size)
     (u, v, radius), (_, _, anywhere) = asked
     np.testing.assert_allclose([u, v], cell_of(0.0, 0.0), atol=1e-3)
     towards = np.array([math.cos(way), math.sin(way)])

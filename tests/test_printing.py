@@ -14,14 +14,14 @@ from baggie.sim.printed import texture
 from baggie.types import Image
 from baggie.vision.pattern import pattern
 from baggie.vision.printing import draw_goal_card, draw_target, print_goal_card, print_target
-from baggie.vision.targets import Charuco, Chessboard, Marker, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, parse_target
 
 DPI = 150
 BOARD = parse_target("charuco:7x5:0.030:0.021:DICT_4X4_50")
 TARGETS = [
     BOARD,
     Chessboard(8, 5, 0.025),
-    Marker("DICT_5X5_100", 7, 0.1),
+    ArucoMarker("DICT_5X5_100", 7, 0.1),
     Charuco(4, 6, 0.03, 0.02, "DICT_4X4_50", True),
 ]
 
@@ -49,7 +49,7 @@ def test_a_board_is_what_opencv_draws(grid: tuple[int, int], legacy: bool) -> No
 @given(st.sampled_from(["DICT_4X4_50", "DICT_6X6_250", "DICT_APRILTAG_36h11"]), st.integers(0, 49))
 @settings(deadline=None, max_examples=10)
 def test_a_marker_is_what_opencv_draws(dictionary: str, number: int) -> None:
-    marker = Marker(dictionary, number, 0.08)
+    marker = ArucoMarker(dictionary, number, 0.08)
     theirs = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), number, 240
     )
@@ -72,7 +72,7 @@ def test_no_black_lies_on_black_or_outside(columns: int, rows: int, legacy: bool
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.spec)
 def test_a_printed_target_is_found_the_right_way_up_at_true_size(
-    target: Charuco | Chessboard | Marker,
+    target: Charuco | Chessboard | ArucoMarker,
 ) -> None:
     seen = target.detect(drawn(draw_target(target)))
     assert seen is not None
@@ -117,7 +117,7 @@ def test_the_ruler_is_100_mm_long(paper: str) -> None:
         (BOARD, "A4", (297, 210)),
         (BOARD, "A3", (420, 297)),
         (Chessboard(5, 8, 0.02), "A4", (210, 297)),
-        (Marker("DICT_4X4_50", 0, 0.15), "A4", (210, 297)),
+        (ArucoMarker("DICT_4X4_50", 0, 0.15), "A4", (210, 297)),
     ],
 )
 def test_the_page_is_the_paper_lying_as_the_target_fits(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from baggie.geometry import rotation, wrap_angle
 from baggie.policies.transporter.network import Decision
-from baggie.policies.transporter.policy import turned, turned_back
+from baggie.policies.transporter.policy import quarter_turned, turned_back
 from baggie.policies.transporter.scores import PlaceAngle, Scores
 
 ROWS, COLUMNS = 24, 16
@@ -27,7 +27,7 @@ def decision_at(place: tuple[float, float], angle: float = 0.0, looks: tuple[Sco
 @given(quarters, st.integers(0, 1000))
 def test_what_is_at_a_place_of_the_turned_map_is_at_the_place_turned_back(quarter, seed):
     pixels = np.random.default_rng(seed).normal(size=(ROWS, COLUMNS))
-    there = turned(pixels, quarter)
+    there = quarter_turned(pixels, quarter)
     v, u = np.unravel_index(int(there.argmax()), there.shape)
     back = turned_back(decision_at((float(u), float(v))), quarter, (ROWS, COLUMNS))
     column, row = back.place.place[0].int().tolist()
@@ -52,7 +52,7 @@ def test_a_yaw_is_turned_along_and_a_turn_is_not(quarter, angle, u, v):
 @given(quarters, st.sampled_from([1, 4]), st.integers(0, 1000))
 def test_a_look_says_the_same_of_the_same_pixels(quarter, stride, seed):
     rng = np.random.default_rng(seed)
-    rows, columns = turned(np.zeros((ROWS, COLUMNS)), quarter).shape
+    rows, columns = quarter_turned(np.zeros((ROWS, COLUMNS)), quarter).shape
     logits = torch.from_numpy(rng.normal(size=(1, 3, rows // stride, columns // stride)))
     first = torch.full((1, 2), (stride - 1) / 2, dtype=torch.float64)
     look = Scores(logits, first, stride, 1)

@@ -16,8 +16,8 @@ from baggie.cli import main as cli
 from baggie.cli.verbs import BAGGIE, Group, Verb
 from baggie.commissioning.image_to_robot import parse_marker
 from baggie.errors import BaggieError, UsageError
-from baggie.options.ranges import Count, Options, Point, Share, hints
-from baggie.options.workcells import LabOptions
+from baggie.options.commissioning import LabOptions
+from baggie.options.values import Count, Options, Point, Share, hints
 from baggie.registry import named
 from baggie.vision.targets import parse_target
 

@@ -20,8 +20,7 @@ from baggie.geometry import FloatArray, Grid, PlanarPose
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
-from baggie.ravens.agent import RavensAgent
-from baggie.ravens.convert import planar
+from baggie.ravens.adapters import RavensAgent, planar
 from baggie.ravens.format import RavensAction, RavensPose
 from baggie.types import Goal, Observation, PickPlace, Plan
 from helpers import ravens_scene

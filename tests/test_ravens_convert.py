@@ -16,7 +16,7 @@ from baggie.data import DatasetWriter, open_dataset
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import Grid, wrap_angle
 from baggie.options.collecting import ImportOptions
-from baggie.ravens.convert import import_ravens, planar
+from baggie.ravens.adapters import import_ravens, planar
 from baggie.ravens.episode import fused
 from baggie.ravens.format import RavensFolder, RavensPose, write_episode
 from baggie.types import Attempt

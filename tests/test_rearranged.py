@@ -12,19 +12,19 @@ from scipy.spatial.distance import cdist
 
 from baggie.geometry import apply_homography
 from baggie.learning.moved_maps import MovedMaps, Moves
-from baggie.learning.rearranged import Scene, rearranged
-from baggie.vision.carried import Things
+from baggie.learning.rearranged import MarkedMap, rearranged
+from baggie.vision.carried import ObjectMap
 from helpers.box_scenes import GRID, box_demonstrations
 
 SHOWN = box_demonstrations(6, 0)
 seeds, numbers = st.integers(0, 10_000), st.integers(0, len(SHOWN.poses) - 1)
 
 
-def scene_of(number: int) -> tuple[Scene, Things]:
+def scene_of(number: int) -> tuple[MarkedMap, ObjectMap]:
     places = SHOWN.grid.to_pixels(SHOWN.poses[number, [0, 1, 3, 4]].reshape(2, 2))
     height = SHOWN.heights[number] + np.float32(0.001)
-    things = Things.on(height)
-    return Scene(SHOWN.colors[number], height, places, things.at(places)), things
+    things = ObjectMap.on(height)
+    return MarkedMap(SHOWN.colors[number], height, places, things.at(places)), things
 
 
 def rearrange(seed: int, number: int):
@@ -78,7 +78,7 @@ def test_nothing_is_put_on_anything_else_or_lost(seed, number):
     scene, found = rearrange(seed, number)
     if found is None:
         return
-    before, after = Things.on(scene.height), Things.on(found.height)
+    before, after = ObjectMap.on(scene.height), ObjectMap.on(found.height)
     assert after.count == before.count
     areas = [sorted(np.bincount(things.footprints.ravel())[1:]) for things in (before, after)]
     assert areas[1] == pytest.approx(areas[0], rel=0.3)  # a rim between pixels counts for both
@@ -91,7 +91,7 @@ def test_now_and_then_things_lie_close_to_each_other_at_any_side():
         _, found = rearrange(seed, seed % len(SHOWN.poses))
         if found is None:
             continue
-        things = Things.on(found.height)
+        things = ObjectMap.on(found.height)
         pixels = [np.argwhere(things.footprints == number) for number in range(1, things.count + 1)]
         for one, other in itertools.pairwise(pixels):
             gaps.append(cdist(one, other).min())
@@ -107,7 +107,7 @@ def test_now_and_then_things_lie_close_to_each_other_at_any_side():
 def test_a_place_on_the_bare_table_stays_there_and_free(seed):
     scene, _ = scene_of(0)
     flat = np.where(scene.height < 0.006, scene.height.min(), scene.height)  # the slot is but painted
-    things = Things.on(flat)
+    things = ObjectMap.on(flat)
     scene = scene._replace(height=flat, at=things.at(scene.places))
     assert scene.at[1] == 0
     found = rearranged(np.random.default_rng(seed), scene, things, np.eye(3))

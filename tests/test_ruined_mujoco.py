@@ -15,7 +15,7 @@ import pytest
 
 import baggie
 from baggie.errors import BaggieError
-from baggie.policies.color_mask import ColorMaskPolicy
+from baggie.policies.baselines import ColorMaskPolicy
 from baggie.sim.bag import Bag
 from baggie.sim.cell import draw_cell
 from baggie.sim.scene import arm_spec, build_model

@@ -16,8 +16,7 @@ from baggie.errors import BaggieError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.seeds import first_fit
 from baggie.sim.cell import ALL_HUES, RESERVED_APART, draw_cell, random_hue
-from baggie.sim.clutter import STRANGE, draw_distractors
-from baggie.sim.variety import lay_bags
+from baggie.sim.variety import STRANGE, draw_distractors, lay_bags
 from baggie.tasks.layout import REACH, scatter
 from baggie.vision.targets import parse_target
 

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 
 from baggie.learning.augmentation import (
     Shape,
-    as_it_is,
     object_mask,
+    randomly_turned,
     reshaped,
-    turned,
+    unchanged,
     with_shape,
     without_object,
 )
 from baggie.policies.keypoint import heads as phase
-from baggie.policies.keypoint.plan import LONG
+from baggie.policies.planning import LONG_RATIO
 from baggie.vision.color_mask import find_bag
 
 SIDE = 41
@@ -43,7 +43,7 @@ def shown(shape: Shape) -> np.ndarray:
 @given(seeds)
 def test_its_middle_stays(seed):
     rng = np.random.default_rng(seed)
-    shape = reshaped(rng, turned(rng, as_it_is(0.0), JACOBIAN), JACOBIAN, LONG)
+    shape = reshaped(rng, randomly_turned(rng, unchanged(0.0), JACOBIAN), JACOBIAN, LONG_RATIO)
     v, u = np.nonzero(shown(shape))
     assert [u.mean(), v.mean()] == pytest.approx(MIDDLE, abs=0.5)
 
@@ -53,7 +53,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
     """Whatever the camera: the phase seen after is the phase seen before, plus that of the turn."""
     rng = np.random.default_rng(seed)
     jacobian = JACOBIAN + rng.normal(0, 2e-4, (2, 2))
-    shape = turned(rng, as_it_is(yaw, 2), jacobian)
+    shape = randomly_turned(rng, unchanged(yaw, 2), jacobian)
     angle = math.atan2(shape.linear[1, 0], shape.linear[0, 0])
     before, after = (
         phase.phase_of(torch.tensor(y, dtype=torch.float64), torch.from_numpy(jacobian), phase.LONG).tolist()
@@ -66,7 +66,7 @@ def test_a_turn_in_the_picture_turns_the_phase_as_far(yaw, angle, seed):
 @given(seeds)
 def test_what_is_long_lies_along_its_yaw(seed):
     rng = np.random.default_rng(seed)
-    shape = turned(rng, reshaped(rng, as_it_is(0.0), JACOBIAN, LONG), JACOBIAN)
+    shape = randomly_turned(rng, reshaped(rng, unchanged(0.0), JACOBIAN, LONG_RATIO), JACOBIAN)
     points = np.argwhere(shown(shape))[:, ::-1].astype(np.float32)
     sides = 1 + np.array(cv2.minAreaRect(points)[1])  # between the outermost pixels' centres
     if shape.round_from is not None:
@@ -75,9 +75,9 @@ def test_what_is_long_lies_along_its_yaw(seed):
         return
     assert len(points) == pytest.approx(max(sides) * min(sides), rel=0.1)
     ratio = max(sides) / min(sides)
-    if abs(ratio - LONG) > 0.05:
-        assert shape.symmetry == (2 if ratio > LONG else 4)
-        assert shape.phases == (1.0, float(ratio > LONG))
+    if abs(ratio - LONG_RATIO) > 0.05:
+        assert shape.symmetry == (2 if ratio > LONG_RATIO else 4)
+        assert shape.phases == (1.0, float(ratio > LONG_RATIO))
     if ratio > 1.3:
         _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
         x, y = JACOBIAN @ axes[0]
@@ -86,7 +86,7 @@ def test_what_is_long_lies_along_its_yaw(seed):
 
 def test_what_is_long_stays_long_and_is_not_stretched():
     for seed in range(20):
-        shape = reshaped(np.random.default_rng(seed), as_it_is(0.3, 2), JACOBIAN, LONG)
+        shape = reshaped(np.random.default_rng(seed), unchanged(0.3, 2), JACOBIAN, LONG_RATIO)
         assert shape.phases == (1.0, 1.0)
         assert shape.linear == pytest.approx(np.eye(2) * shape.linear[0, 0])
 

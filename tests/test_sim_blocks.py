@@ -11,10 +11,10 @@ from baggie.registry import TASKS
 from baggie.robot.arm import Arm
 from baggie.robot.primitives import pick, place
 from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M, SimulatedArm, SuctionArm
-from baggie.sim.blocks import CUP_RADIUS_M, Block, stand
+from baggie.sim.arm_world import HOLDING_N, RIM_POINTS, is_flat
 from baggie.sim.cell import draw_cell
+from baggie.sim.objects import CUP_RADIUS_M, Block, stand
 from baggie.sim.renderer import HIDDEN_GROUP
-from baggie.sim.tools import HOLDING_N, RIM_POINTS, is_flat
 from baggie.sim.world import World
 
 SIDE_M = 0.04

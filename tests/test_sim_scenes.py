@@ -12,11 +12,11 @@ import pytest
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.sim.bag import Bag, cloth, pillow
 from baggie.sim.cell import draw_cell
-from baggie.sim.clutter import Distractor
 from baggie.sim.scene import build_model
+from baggie.sim.variety import Distractor
 from baggie.sim.world import World
 from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag

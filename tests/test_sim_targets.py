@@ -26,14 +26,14 @@ from baggie.sim.renderer import CameraRenderer
 from baggie.sim.scene import arm_spec
 from baggie.sim.sensor import Exposure
 from baggie.vision.pattern import pattern
-from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import WorkcellSettings
 from helpers.recording_arm import RecordingArm
 
 CHESSBOARD = Chessboard(7, 4, 0.035)
 CHARUCO = Charuco(7, 5, 0.03, 0.021, "DICT_4X4_50")
-MARKER = Marker("DICT_4X4_50", 7, 0.06)
+MARKER = ArucoMarker("DICT_4X4_50", 7, 0.06)
 FACING_UP = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # x to the right in the picture
 
 
@@ -86,7 +86,7 @@ def test_a_texture_has_the_targets_points_where_they_should_be(target: Target, s
 @given(st.floats(0.3, 1.3), st.integers(0, 49))
 @settings(deadline=None, max_examples=10)
 def test_a_texture_has_as_much_ink_as_the_drawing(scale: float, number: int) -> None:
-    marker = Marker("DICT_4X4_50", number, 0.07)
+    marker = ArucoMarker("DICT_4X4_50", number, 0.07)
     left, top, right, bottom = pattern(marker).black.T
     area = scale**2 * ((right - left) * (bottom - top)).sum() / (0.12 * 0.09)
     picture = texture(marker, (0.12, 0.1), (200, 300), scale).astype(float)
@@ -160,7 +160,7 @@ def test_every_renderer_sees_what_is_printed_now(clear: SimulatedWorkcell) -> No
         return target.detect(picture) is not None
 
     older = CameraRenderer(clear.world)
-    for target in (CHARUCO, Marker("DICT_4X4_50", 20, 0.1)):
+    for target in (CHARUCO, ArucoMarker("DICT_4X4_50", 20, 0.1)):
         clear.show_target(target, around((0.5, 0.0, 0.0), np.eye(3), target))
         assert sees(older, target)
     newer = CameraRenderer(clear.world)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.sim.bag import Bag, Shape
 from baggie.sim.cell import APART, GOAL_CARD_HUE, PADDLE_HUE, PICTURE_SIZE, draw_cell, hue_distance, hue_of
 from baggie.sim.variety import (

@@ -16,8 +16,8 @@ from baggie.calibration.files import VIEWS_FILE, read_calibration, read_views_fi
 from baggie.calibration.intrinsics.camera_calibration import read_factory
 from baggie.errors import BaggieError, DataError, WriteError
 from baggie.files import parse_yaml, read_json, read_yaml, written_whole
+from baggie.policies.baselines import ColorMaskPolicy
 from baggie.policies.checkpoint import read_config
-from baggie.policies.color_mask import ColorMaskPolicy
 from baggie.workcell.workcell_file import read_workcell_file
 
 CONTENT = st.recursive(

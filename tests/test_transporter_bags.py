@@ -28,7 +28,7 @@ from baggie.learning.moved_maps import MovedMaps, Moves, rigid_move
 from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.types import Attempt, Goal, PickPlace
 from helpers.synthetic import box_corners, carried, image_to_robot
 

@@ -15,12 +15,12 @@ from baggie.errors import DataError
 from baggie.geometry import Grid, apply_homography, wrap_angle
 from baggie.learning import TransporterTraining, train
 from baggie.learning.demonstrations import read_demonstrations
-from baggie.learning.measure import measure
 from baggie.learning.moved_maps import MovedMaps, Moves, random_move, rigid_move
 from baggie.learning.split import split_episodes
+from baggie.learning.train import plan_errors
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import load_policy
-from baggie.policies.contract import check_policy
+from baggie.policies.base import check_policy
 from baggie.types import Goal, Observation
 from helpers.box_scenes import box_attempts, box_demonstrations, box_scene
 
@@ -288,7 +288,7 @@ def test_yaws_are_compared_modulo_the_symmetry_of_what_is_moved(tmp_path, given,
     metrics = train(options(tmp_path, steps=1, symmetry=given), ATTEMPTS)
     policy = load_policy(tmp_path)
     val = [attempt for attempt in ATTEMPTS if attempt.attempt_id in policy.training["split"]["val"]]
-    assert metrics["labels"] == measure(policy, val, compared)["labels"]
+    assert metrics["labels"] == plan_errors(policy, val, compared)["labels"]
 
 
 @pytest.mark.parametrize(

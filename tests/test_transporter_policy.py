@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from baggie.errors import BaggieError
 from baggie.geometry import Grid, PlanarPose
 from baggie.policies import TransporterPolicy, load_policy
-from baggie.policies.contract import check_policy
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.base import check_policy
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.fast import CELL, DEEPEST, Trunk
 from baggie.policies.transporter.network import Attention, Decision, PaperMaps, ResidualFCN, TransporterNet
-from baggie.policies.transporter.policy import _over_map, turned, turned_back
+from baggie.policies.transporter.policy import _over_map, quarter_turned, turned_back
 from baggie.policies.transporter.scores import PlaceAngle, Scores, soft_targets, turn_angles
 from baggie.policies.transporter.spatial import patches
 from baggie.types import Goal, Observation
@@ -77,7 +77,7 @@ def test_of_two_places_that_fit_as_well_the_coarse_look_decides(u, v, right, dow
 @given(st.integers(0, 3), st.integers(9, 30), st.integers(9, 30), st.integers(0, 1000))
 def test_a_view_of_a_map_that_was_turned_is_over_what_it_is_about(quarters, rows, columns, seed):
     """Of sides that are not a multiple of 4 the last cell is partly outside, and may be the first after a turn."""
-    height, width = turned(np.zeros((rows, columns)), quarters).shape
+    height, width = quarter_turned(np.zeros((rows, columns)), quarters).shape
     u, v = (
         float(np.random.default_rng([seed, axis]).integers(0, n)) for axis, n in ((0, width), (1, height))
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from baggie.geometry import PlanarPose, planar_pose, wrap_angle
 from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
-from baggie.sim.blocks import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
+from baggie.sim.objects import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
 from baggie.tasks import demonstrator as module
 from baggie.tasks.conditions import State, remaining
 from baggie.tasks.demonstrator import (

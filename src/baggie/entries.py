@@ -1,7 +1,4 @@
-"""What entries of a person's file may be.
-
-What is wrong with a YAML file: the line, the entry, what may stand there.
-"""
+"""Types of entries of a person's YAML file, and what is wrong with one: the line, the entry, what may stand there."""
 
 from __future__ import annotations
 

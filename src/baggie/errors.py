@@ -1,8 +1,7 @@
 """Errors a user can act on: each says what was expected, what came, and what to do next.
 
-What a package that cannot be imported means for the user.
-
-What only some users need: the command that installs it, true for whoever has Baggie from a checkout or a wheel.
+A package that cannot be imported is explained, with the command that installs what only some users need, true for
+whoever has Baggie from a checkout or a wheel.
 """
 
 from __future__ import annotations

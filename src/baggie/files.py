@@ -1,7 +1,4 @@
-"""Small files, written whole or not at all; and what lies among ours without being ours.
-
-Text, YAML and JSON as people write them, read in one way everywhere.
-"""
+"""Small files written whole or not at all; text, YAML and JSON as people write them, read in one way everywhere."""
 
 from __future__ import annotations
 

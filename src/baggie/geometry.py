@@ -1,8 +1,6 @@
-"""Planar poses, rigid transforms and homographies.
+"""Planar poses, rigid transforms, homographies, and the grid of an orthographic picture.
 
 `T_a_b` maps points of frame b into frame a. Metres and radians; pixels are `(u, v)`.
-
-The grid of an orthographic picture: which pixel shows which place on the table.
 """
 
 from __future__ import annotations
@@ -116,7 +114,7 @@ class ToolPose:
 
     @property
     def planar(self) -> PlanarPose:
-        """The same pose without its height."""
+        """The pose on the table, without its height."""
         return PlanarPose(self.x, self.y, self.yaw)
 
     @property

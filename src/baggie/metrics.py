@@ -125,7 +125,7 @@ def references(attempt: Attempt) -> dict[str, PickPlace]:
 
 
 def turn_error_deg(planned: PickPlace, right: PickPlace, symmetry: int = 4) -> float:
-    """Degrees by which the object is turned wrongly between pick and place, modulo its symmetry as above."""
+    """Degrees by which the object is turned wrongly between pick and place, modulo its symmetry."""
     ours, theirs = (PlanarPose(0.0, 0.0, action.place.yaw - action.pick.yaw) for action in (planned, right))
     return yaw_error_deg(ours, theirs, symmetry)
 

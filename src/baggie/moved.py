@@ -1,4 +1,4 @@
-"""Old names of modules that documents once told people to import: they work for one more version, with a warning."""
+"""Old names that documents once told people to import: they work for one more version, with a warning."""
 
 from __future__ import annotations
 
@@ -9,14 +9,22 @@ from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 MOVED = {
-    "baggie.data.ravens_agent": "baggie.ravens.agent",
+    "baggie.data.ravens_agent": "baggie.ravens.adapters",
     "baggie.evaluation.metrics": "baggie.metrics",
     "baggie.evaluation.results": "baggie.results",
     "baggie.grid": "baggie.geometry",
     "baggie.lab.control": "baggie.lab.web",
+    "baggie.policies.color_mask": "baggie.policies.baselines",
+    "baggie.policies.contract": "baggie.policies.base",
+    "baggie.policies.oracle": "baggie.policies.baselines",
+    "baggie.policies.regression.policy": "baggie.policies.regression",
+    "baggie.ravens.agent": "baggie.ravens.adapters",
+    "baggie.ravens.convert": "baggie.ravens.adapters",
     "baggie.sim.arm_model": "baggie.robot.kinematics",
+    "baggie.sim.blocks": "baggie.sim.objects",
     "baggie.sim.kinematics": "baggie.robot.kinematics",
     "baggie.vision.picture_files": "baggie.pictures",
     "baggie.workcell.arm": "baggie.robot.arm",
@@ -31,15 +39,28 @@ MOVED = {
     "baggie.workcell.real": "baggie.workcell.config",
 }
 
+RENAMED = {"baggie.types": {"marked": "require_goal", "seen": "require_observation"}}
+"""Names in modules."""
+
+
+def renamed(module: str, name: str) -> Any:
+    """Give what is meant by an old name in a module, as its `__getattr__` has to."""
+    if (now := RENAMED[module].get(name)) is None:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    _warn(f"{module}.{name}", f"{module}.{now}")
+    return getattr(import_module(module), now)
+
+
+def _warn(old: str, now: str) -> None:
+    warnings.warn(f"{old} is now {now}; the old name ends with this version", FutureWarning, stacklevel=3)
+
 
 class _OldName(Loader):
     """Gives the module that is meant by an old name."""
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         now = MOVED[spec.name]
-        warnings.warn(
-            f"{spec.name} is now {now}; the old name ends with this version", FutureWarning, stacklevel=2
-        )
+        _warn(spec.name, now)
         module = import_module(now)
         self._spec = module.__spec__
         return module

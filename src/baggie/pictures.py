@@ -1,7 +1,4 @@
-"""Pictures and outlines as people have them, made into what everything here works with.
-
-Pictures on disk: one, a folder of them, or the frames of a video.
-"""
+"""Pictures and outlines as people have them, in memory or on disk, made into what everything here works with."""
 
 from __future__ import annotations
 
@@ -140,7 +137,7 @@ def _opaque(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _in_8_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """The same picture in uint8."""
+    """Convert a picture to uint8."""
     kind = array.dtype.kind
     if (
         kind == "u" and array.dtype.itemsize == 2 and array.max() > _BRIGHTEST
@@ -185,7 +182,7 @@ def _around(points: FloatArray) -> FloatArray:
 
 
 def _area(points: FloatArray) -> float:
-    """Of a polygon `(N, 2)`, by the shoelace formula; its sign says which way it turns."""
+    """Area of a polygon `(N, 2)`, by the shoelace formula; its sign says which way it turns."""
     u, v = (points - points[0]).T
     return float(u @ np.roll(v, -1) - v @ np.roll(u, -1)) / 2
 

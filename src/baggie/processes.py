@@ -58,7 +58,7 @@ class LocalProcesses:
         workers: int,
         operator: Operator,
     ) -> Iterator[Result]:
-        """As `Executor.stream`, a process for each worker."""
+        """Stream as `Executor.stream` does, with a process for each worker."""
         queue = iter(tasks)
         context = multiprocessing.get_context("spawn")
         processes = []

@@ -1,4 +1,4 @@
-"""The random streams, kept apart: a scene of one can never be a scene of another, whatever the seed; drawing from them.
+"""Random streams, kept apart: a scene of one can never be a scene of another, whatever the seed.
 
 A stream's name goes first in the list of integers that seeds a generator, so `(EVALUATION, 7, 0)` and
 `(COLLECTION, 7, 0)` share nothing. The values are arbitrary but fixed: changing one changes every recording.

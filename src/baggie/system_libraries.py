@@ -93,7 +93,7 @@ def rendering_backend(names: Iterable[str] = RENDERING) -> str | None:
 
 
 def missing(needs: Iterable[Need]) -> list[Need]:
-    """Those of these that are not there."""
+    """Find the needs that are not there."""
     return [need for need in needs if not need.there()]
 
 
@@ -123,7 +123,7 @@ def providers(text: str) -> Iterator[Need]:
 
 
 def _install(needs: Iterable[Need]) -> None:
-    """As root, on Debian and its relatives."""
+    """Install packages as root, on Debian and its relatives."""
     packages = [need.package for need in needs]
     print("installing what pip cannot:", *packages, flush=True)
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
 import numpy as np
@@ -12,7 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose
+from baggie.moved import renamed
 from baggie.pictures import as_metres, as_outline, as_picture
+
+if not TYPE_CHECKING:  # so that a type checker knows which names there are
+    __getattr__ = partial(renamed, __name__)
 
 _CONVERGED_PX = 1e-6
 _LAST_TO_CONVERGE = 100
@@ -40,7 +45,7 @@ class Intrinsics:
     """`(D,)` coefficients in OpenCV's order; empty for none."""
 
     def scaled(self, width: int, height: int) -> Intrinsics:
-        """The same camera with its pictures resized (pixel centres at half-integers + 0.5 convention)."""
+        """Give the camera for its pictures resized, pixels (pixel centres at half-integers + 0.5 convention)."""
         sx, sy = width / self.width, height / self.height
         matrix = self.matrix.copy()
         matrix[0] *= sx
@@ -133,7 +138,7 @@ class Observation:
         return self.color.shape[1], self.color.shape[0]
 
     def resized(self, width: int, height: int) -> Observation:
-        """The same picture at another size (area average); depth takes the nearest value, never a mixture.
+        """Resize the picture to so many pixels (area average); depth takes the nearest value, never a mixture.
 
         Raises `BaggieError` for an orthographic picture: the size of its pixels is its grid's.
         """
@@ -194,7 +199,7 @@ class Goal:
         return np.asarray(self.corners.mean(axis=0))
 
     def scaled(self, factor_u: float, factor_v: float) -> Goal:
-        """The same goal in a picture resized by these factors (pixel centres are at integer (u, v))."""
+        """Scale the goal to a picture resized by these factors (pixel centres are at integer (u, v))."""
         factors = np.array([factor_u, factor_v])
         object_at = self.object_at
         if object_at is not None:
@@ -204,7 +209,7 @@ class Goal:
 
 
 def _numbers(values: Any, count: int) -> tuple[float, ...] | None:
-    """These as so many finite numbers; None where they are none."""
+    """Read values as so many finite numbers; None where they are none."""
     try:
         numbers = np.asarray(values, float)
     except (TypeError, ValueError):
@@ -212,7 +217,7 @@ def _numbers(values: Any, count: int) -> tuple[float, ...] | None:
     return tuple(numbers.tolist()) if numbers.shape == (count,) and np.isfinite(numbers).all() else None
 
 
-def seen(observation: Observation) -> Observation:
+def require_observation(observation: Observation) -> Observation:
     """The observation, for a policy. Raises `BaggieError` for what is none, such as its picture alone."""
     if not isinstance(observation, Observation):
         kind = type(observation).__name__
@@ -220,7 +225,7 @@ def seen(observation: Observation) -> Observation:
     return observation
 
 
-def marked(goal: Goal | None) -> Goal:
+def require_goal(goal: Goal | None) -> Goal:
     """The goal, for a policy that needs one. Raises `BaggieError` where there is none."""
     if goal is None:
         raise BaggieError("expected a goal marked in the picture, got none; give plan(observation, goal) one")
@@ -269,7 +274,7 @@ class Plan:
     pick_within_m: float | None = None
     """The radius around the pick that holds the object's true middle nine times of ten; None where it cannot tell."""
     place_within_m: float | None = None
-    """The radius around the goal in which the object ends nine times of ten, scatter of its landing included."""
+    """The radius around the goal in which the object ends nine times of ten, scatter of its release included."""
     views: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Heat maps by name, `(h, w)` float32 in [0, 1], of the whole picture at any resolution."""
 

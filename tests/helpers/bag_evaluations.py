@@ -14,7 +14,7 @@ from baggie.errors import BaggieError, ReachError
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.setup import Setup
 from baggie.geometry import PlanarPose
-from baggie.policies.oracle import OraclePolicy
+from baggie.policies.baselines import OraclePolicy
 from baggie.sim.bag import Bag
 from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import next_action

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from baggie.geometry import FloatArray, rigid, transform_points
 from baggie.types import Image, Intrinsics
-from baggie.vision.targets import Charuco, Chessboard, Marker, Target, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target
 
 SUBPIXELS = 4
 """Samples per pixel and axis."""
@@ -116,7 +116,7 @@ def lens_error_px(lens: Intrinsics, true: Intrinsics) -> float:
 
 
 def _square_m(target: Target) -> float:
-    return target.size_m / 4 if isinstance(target, Marker) else target.square_m
+    return target.size_m / 4 if isinstance(target, ArucoMarker) else target.square_m
 
 
 @lru_cache(maxsize=8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from baggie.geometry import FloatArray, planar_pose, transform_points
-from baggie.sim.blocks import Block, distance_m
+from baggie.sim.objects import Block, distance_m
 from baggie.tasks.task import Scene
 from baggie.types import PickPlace
 

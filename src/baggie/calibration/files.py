@@ -44,7 +44,7 @@ class CameraIdentity:
             )
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {"name": self.name, "width": self.width, "height": self.height}
 
     @classmethod
@@ -65,7 +65,7 @@ class Calibration(ABC):
 
     @abstractmethod
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file, the summary in it; arrays and numbers of NumPy's may be among it."""
+        """Give the content of a file, the summary in it; arrays and numbers of NumPy's may be among it."""
 
     @classmethod
     @abstractmethod

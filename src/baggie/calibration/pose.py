@@ -1,8 +1,6 @@
-"""The pose of a camera from points of known position in one picture, robustly and with its uncertainty.
+"""Rigid transforms with their uncertainty, and a camera's pose from points of known position in one picture.
 
-Of a flat target two poses explain what is seen: which is the true one, by the corners, or by depth.
-
-Rigid transforms that know how sure they are.
+Of a flat target two poses explain what is seen; the corners, or depth, say which is the true one.
 
 A true transform is `R = exp(w) R0`, `t = t0 + d` with a small error (w, d), radians and metres, in the frame the
 transform maps *to*. Its covariance is `(6, 6)`, w first. Errors travel through inversion and composition to first
@@ -61,7 +59,7 @@ class UncertainTransform:
 
     @property
     def std_deg(self) -> float:
-        """The same of the rotation."""
+        """One standard deviation of the rotation, degrees."""
         return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
 
     def summary(self) -> dict[str, float]:
@@ -83,7 +81,7 @@ class UncertainTransform:
 
 
 def squared_radius(probability: float) -> float:
-    """Of the region, in standard deviations, that holds an error's six numbers with this probability.
+    """Squared radius, in standard deviations, of the region that holds an error's six numbers with this probability.
 
     The quantile of a chi-square distribution; from scipy.special, as scipy.stats takes half a second to import.
     """
@@ -216,7 +214,7 @@ class MeasuredDepth:
         intrinsics: Intrinsics,
         images: Sequence[NDArray[np.float32]],
     ) -> MeasuredDepth | None:
-        """Between a target's corners `(N, 3)`: the median of the images `(H, W)`; None where too little is known."""
+        """Median depth of images `(H, W)` between corners `(N, 3)` of a target; None where too little is known."""
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y = np.meshgrid(np.linspace(low[0], high[0], 20), np.linspace(low[1], high[1], 20))
         points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])

@@ -17,7 +17,7 @@ class Verb:
     """`module:attribute` of its options' dataclass; or, where there is a `choice`, of a registry of such."""
     does: str
     """`module:function` that takes the options."""
-    shows: str | None = "baggie.cli.output:show"
+    shows: str | None = "baggie.cli.main:show"
     """`module:function` that takes what came of it, and whether that is to be JSON; None where nothing does."""
     choice: str | None = None
     """The option that says by a name which class of options it is; the registry's first name unless given."""
@@ -35,8 +35,7 @@ class Group:
 
 
 _COLLECTING, _EVALUATING = "baggie.options.collecting", "baggie.options.evaluating"
-_CALIBRATING, _WORKCELLS = "baggie.options.calibrating", "baggie.options.workcells"
-_COMMISSIONING = "baggie.commissioning"
+_SETTING_UP, _COMMISSIONING = "baggie.options.commissioning", "baggie.commissioning"
 
 _WORKCELL = Group(
     "Write down a workcell, or show what is written.",
@@ -45,13 +44,13 @@ _WORKCELL = Group(
         "new": Verb(
             "Write a workcell file, from what you answer to a few questions.",
             ("baggie workcell new cell.yaml",),
-            f"{_WORKCELLS}:NewWorkcellOptions",
+            f"{_SETTING_UP}:NewWorkcellOptions",
             f"{_COMMISSIONING}.new_workcell:new_workcell",
         ),
         "show": Verb(
             "Everything a workcell file says, and what follows from that or is left to the defaults.",
             ("baggie workcell show cell.yaml",),
-            f"{_WORKCELLS}:ShowWorkcellOptions",
+            f"{_SETTING_UP}:ShowWorkcellOptions",
             f"{_COMMISSIONING}.new_workcell:shown_workcell",
         ),
     },
@@ -66,19 +65,19 @@ _CALIBRATE = Group(
                 "baggie calibrate intrinsics --from pictures --board charuco:7x5:0.030:0.021:DICT_4X4_50 --out "
                 "camera.yaml",
             ),
-            f"{_CALIBRATING}:IntrinsicsOptions",
+            f"{_SETTING_UP}:IntrinsicsOptions",
             f"{_COMMISSIONING}.intrinsics:calibrate_intrinsics",
         ),
         "image-to-robot": Verb(
             "From pixels straight to the robot's frame: the arm drives a marker over the workspace and looks.",
             ("baggie calibrate image-to-robot --intrinsics camera.yaml --out image-to-robot.yaml",),
-            f"{_CALIBRATING}:ImageToRobotOptions",
+            f"{_SETTING_UP}:ImageToRobotOptions",
             f"{_COMMISSIONING}.image_to_robot:calibrate_image_to_robot",
         ),
         "camera-to-world": Verb(
             "Where the camera is, from a target of known size that lies on the table.",
             ("baggie calibrate camera-to-world --intrinsics camera.yaml --out camera-to-world.yaml",),
-            f"{_CALIBRATING}:CameraToWorldOptions",
+            f"{_SETTING_UP}:CameraToWorldOptions",
             f"{_COMMISSIONING}.robot_to_world:calibrate_camera_to_world",
         ),
         "robot-to-world": Verb(
@@ -86,20 +85,20 @@ _CALIBRATE = Group(
             (
                 "baggie calibrate robot-to-world --camera-to-world camera-to-world.yaml --out robot-to-world.yaml",
             ),
-            f"{_CALIBRATING}:RobotToWorldOptions",
+            f"{_SETTING_UP}:RobotToWorldOptions",
             f"{_COMMISSIONING}.robot_to_world:calibrate_robot_to_world",
         ),
         "hand-eye": Verb(
             "Camera and hand together, from a board seen at many poses of the arm; live, or from a recording made "
             "elsewhere.",
             ("baggie calibrate hand-eye --from recording --out hand-eye.yaml",),
-            f"{_CALIBRATING}:HandEyeOptions",
+            f"{_SETTING_UP}:HandEyeOptions",
             f"{_COMMISSIONING}.hand_eye:calibrate_hand_eye",
         ),
         "check": Verb(
             "How far off a calibration is today: the arm visits points it was not made from, and touches a marker.",
             ("baggie calibrate check --map image-to-robot.yaml",),
-            f"{_CALIBRATING}:CheckOptions",
+            f"{_SETTING_UP}:CheckOptions",
             f"{_COMMISSIONING}.check:check_calibration",
         ),
     },
@@ -119,13 +118,13 @@ BAGGIE = Group(
             ("baggie inspect recordings/bags",),
             f"{_COLLECTING}:InspectOptions",
             "baggie.data.summary:inspect",
-            shows="baggie.cli.output:show_recording",
+            shows="baggie.cli.main:show_recording",
         ),
         "import-ravens": Verb(
             "Convert demonstrations of the Ravens benchmark into a recording. The same command again goes on.",
             ("baggie import-ravens stack-block-pyramid-train --out recordings/pyramid",),
             f"{_COLLECTING}:ImportOptions",
-            "baggie.ravens.convert:import_ravens",
+            "baggie.ravens.adapters:import_ravens",
             more="The folder is one of those that Ravens' demos.py writes, with action, color, depth, info and reward "
             "in it. Its three views become one picture from straight above, each action an attempt, each episode an "
             "episode.",
@@ -159,7 +158,7 @@ BAGGIE = Group(
             ("baggie report runs/keypoint runs/color-mask --out report.html",),
             f"{_EVALUATING}:ReportOptions",
             "baggie.report.report:report",
-            shows="baggie.cli.output:show_page",
+            shows="baggie.cli.main:show_page",
         ),
         "export": Verb(
             "Write a trained policy as files that run without PyTorch, and check that it says the same.",
@@ -172,15 +171,15 @@ BAGGIE = Group(
             "Check a workcell: camera, light, arm, calibrations; then, with leave, move slowly and touch something "
             "firm.",
             ("baggie doctor cell.yaml",),
-            f"{_WORKCELLS}:DoctorOptions",
+            f"{_SETTING_UP}:DoctorOptions",
             f"{_COMMISSIONING}.doctor:examine",
-            shows="baggie.cli.output:show_findings",
+            shows="baggie.cli.main:show_findings",
         ),
         "lab": Verb(
             "Run a virtual lab: a simulated workcell that is reached as a real one is. Ctrl-C ends it.",
             ("baggie lab --out lab.yaml",),
-            f"{_WORKCELLS}:LabOptions",
-            "baggie.lab.serve:serve_lab",
+            f"{_SETTING_UP}:LabOptions",
+            "baggie.lab.web:serve_lab",
             shows=None,
             more="Prints the workcell file that opens it.",
         ),
@@ -188,7 +187,7 @@ BAGGIE = Group(
         "print-target": Verb(
             "Make a marker, a board or a goal card as a PDF at true size.",
             ("baggie print-target board --out board.pdf",),
-            f"{_WORKCELLS}:PrintOptions",
+            f"{_SETTING_UP}:PrintOptions",
             f"{_COMMISSIONING}.printed:print_to_pdf",
         ),
     },

@@ -29,7 +29,7 @@ def calibrate_into(folder: Path, cell: Workcell, seed: int, watched: bool = True
 
     Raises `BaggieError` as `calibrate` does.
     """
-    from baggie.policies.color_mask import ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
+    from baggie.policies.baselines import ColorMaskPolicy  # noqa: PLC0415 -- workers do without torch
 
     image_to_robot = calibrate(cell, seed)
     if watched:

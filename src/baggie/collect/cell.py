@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from baggie.errors import BaggieError
-from baggie.options.choices import USUAL_TASK, CollectedScenery
 from baggie.options.collecting import CollectOptions
+from baggie.options.values import USUAL_TASK, CollectedScenery
 from baggie.registry import TASKS
 from baggie.workcell.workcell import Workcell
 

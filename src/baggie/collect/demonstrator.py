@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from baggie.data import DatasetWriter
-from baggie.options.choices import CollectedStyle
+from baggie.options.values import CollectedStyle
 from baggie.processes import OpenWorker
 from baggie.types import Attempt
 

@@ -102,7 +102,7 @@ class SelfTaught:
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, operator: Operator) -> ImageToRobot:
     """The collector's map from the picture to the robot: as saved, or fitted now."""
-    from baggie.policies.color_mask import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- as in workers
+    from baggie.policies.baselines import CONFIG_FILE, ColorMaskPolicy  # noqa: PLC0415 -- as in workers
 
     folder = options.out / CALIBRATION_FOLDER
     if not (folder / CONFIG_FILE).exists():

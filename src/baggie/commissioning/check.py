@@ -11,7 +11,7 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
-from baggie.calibration.image_to_robot.map import ImageToRobot, compare
+from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison
 from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
 from baggie.commissioning.session import Bench, open_bench
@@ -19,9 +19,9 @@ from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
 from baggie.operator import Operator
-from baggie.options.calibrating import CheckOptions
+from baggie.options.commissioning import CheckOptions
 from baggie.pictures import read_picture
-from baggie.vision.targets import Marker, parse_target
+from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.workcell import Watch, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 
@@ -96,7 +96,7 @@ def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions)
 def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
     """`(N, 2)` metres: how far the fingertips came down from the middle of a marker on the table."""
     cell, marker = bench.workcell(), parse_target(options.table_marker)
-    if not isinstance(marker, Marker):
+    if not isinstance(marker, ArucoMarker):
         raise BaggieError(
             f"expected --table-marker aruco:DICTIONARY:NUMBER:SIZE, got {options.table_marker!r}"
         )
@@ -157,7 +157,7 @@ def _compare(image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, A
         other = as_calibration(policy, _object_height_m(options) / 2)
     else:
         other = ImageToRobot.load(against)
-    comparison = compare(image_to_robot, other)
+    comparison = compare_maps(image_to_robot, other)
     picture = options.map.with_name(f"{options.map.stem}-against-{against.stem}.png")
     drawn = write_if_possible(picture, partial(draw_comparison, comparison))
     found = {"map": str(options.map), "against": str(against), **comparison.summary()}

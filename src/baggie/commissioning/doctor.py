@@ -13,7 +13,7 @@ from baggie.commissioning.assistant import Helper, Person
 from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
 from baggie.errors import BaggieError, NobodyError
 from baggie.operator import Operator, Question, TerminalOperator
-from baggie.options.workcells import DoctorOptions
+from baggie.options.commissioning import DoctorOptions
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]

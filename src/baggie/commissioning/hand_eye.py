@@ -15,13 +15,13 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.hand_eye.solve import HandEye, draw_views, solve_hand_eye
 from baggie.calibration.hand_eye.views import read_views
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.robot_to_world import CameraToRobot, compare
+from baggie.calibration.robot_to_world import CameraToRobot, compare_calibrations
 from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, rigid
 from baggie.operator import Operator
-from baggie.options.calibrating import HandEyeOptions
+from baggie.options.commissioning import HandEyeOptions
 from baggie.robot.arm import hand_pose
 from baggie.seeds import first_fit
 from baggie.vision.corners import FLAT
@@ -65,7 +65,7 @@ def _camera_to_robot(camera: CameraIdentity, result: HandEye, out: Path) -> dict
     summary: dict[str, Any] = {"calibration": str(path)}
     composed = out.with_name("camera-to-robot.yaml")
     if composed.exists():
-        comparison = compare(found, CameraToRobot.load(composed, camera))
+        comparison = compare_calibrations(found, CameraToRobot.load(composed, camera))
         summary["against_the_composed_one"] = {
             "mm": comparison.mm,
             "deg": comparison.deg,

@@ -25,10 +25,10 @@ from baggie.commissioning.assistant import Helper
 from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, rotation
-from baggie.options.choices import HAND_MARKER
+from baggie.options.values import HAND_MARKER
 from baggie.robot.contract import MIN_HEIGHT_M, check_tool_x, highest_m, touch_firm
 from baggie.types import Image
-from baggie.vision.targets import Marker, parse_target
+from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.workcell import Workcell
 
 SLOW_M_S = 0.1
@@ -307,7 +307,7 @@ def tool_x(cell: Workcell, helper: Helper) -> str:
     """The tool's x axis points where its yaw says."""
     _go_above(cell)
     marker = parse_target(HAND_MARKER)
-    assert isinstance(marker, Marker)
+    assert isinstance(marker, ArucoMarker)
     helper.hold(
         None,
         "fix the printed hand-marker or the coloured paddle in front of the fingertips, on the side where the tool's x "

@@ -24,14 +24,14 @@ from baggie.errors import BaggieError, CalibrationError, DataError, LimitError, 
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, ToolPose, hand_matrix, transform_points
 from baggie.operator import Operator, progress
-from baggie.options.calibrating import ImageToRobotOptions
-from baggie.options.ranges import Point
+from baggie.options.commissioning import ImageToRobotOptions
+from baggie.options.values import Point
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.arm import Arm, hand_pose
 from baggie.robot.limits import Limits
 from baggie.types import Image, Observation
 from baggie.vision.color_mask import find_bag
-from baggie.vision.targets import Marker, Seen, parse_target
+from baggie.vision.targets import ArucoMarker, TargetDetection, parse_target
 
 YAW_RAD = 0.35
 """How far the hand is turned at each point, to one side or the other."""
@@ -82,7 +82,7 @@ def color_finder(color: tuple[int, int, int]) -> Find:
     return find
 
 
-def marker_finder(marker: Marker) -> Find:
+def marker_finder(marker: ArucoMarker) -> Find:
     """Finds an ArUco marker: where its diagonals cross, which is its middle in every perspective."""
 
     def find(image: Image) -> FloatArray | None:
@@ -96,7 +96,7 @@ def marker_finder(marker: Marker) -> Find:
     return find
 
 
-def parse_marker(spec: str) -> tuple[Find, Marker | None]:
+def parse_marker(spec: str) -> tuple[Find, ArucoMarker | None]:
     """How to find what a person wrote, `aruco:DICTIONARY:NUMBER:SIZE` or `color:R,G,B`, and the marker if it is one.
 
     Raises `BaggieError` for anything else.
@@ -105,7 +105,7 @@ def parse_marker(spec: str) -> tuple[Find, Marker | None]:
     if color is not None and max(map(int, color.groups())) <= 255:
         return color_finder((int(color[1]), int(color[2]), int(color[3]))), None
     marker = None if spec.startswith("color:") else parse_target(spec)
-    if not isinstance(marker, Marker):
+    if not isinstance(marker, ArucoMarker):
         raise BaggieError(
             f"expected a marker as aruco:DICTIONARY:NUMBER:SIZE (metres) or color:R,G,B, each at most 255, got {spec!r}"
         )
@@ -205,8 +205,8 @@ def _within_reach(positions: FloatArray, marker_in_hand: FloatArray, limits: Lim
     return np.column_stack([np.maximum(positions[:, 0], nearest), positions[:, 1:]])
 
 
-def _as_seen(pixel: FloatArray | None) -> Seen | None:
-    return None if pixel is None else Seen(np.zeros(1, np.int64), pixel[None], np.zeros((1, 3)))
+def _as_seen(pixel: FloatArray | None) -> TargetDetection | None:
+    return None if pixel is None else TargetDetection(np.zeros(1, np.int64), pixel[None], np.zeros((1, 3)))
 
 
 def _fit_folder(folder: Path, options: ImageToRobotOptions) -> ImageToRobot:

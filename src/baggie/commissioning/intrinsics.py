@@ -7,7 +7,7 @@ from typing import Any
 
 from baggie.calibration.intrinsics.camera_calibration import (
     CameraCalibration,
-    draw_coverage,
+    draw_corner_errors,
     import_intrinsics,
 )
 from baggie.calibration.intrinsics.fit import (
@@ -21,7 +21,7 @@ from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
 from baggie.operator import Operator
-from baggie.options.calibrating import IntrinsicsOptions
+from baggie.options.commissioning import IntrinsicsOptions
 from baggie.pictures import read_picture
 from baggie.vision.targets import parse_target
 
@@ -46,7 +46,7 @@ def calibrate_intrinsics(options: IntrinsicsOptions, *, operator: Operator | Non
     result: dict[str, Any] = {"calibration": str(options.out), **calibration.summary()}
     if calibration.views:
         picture = options.out.with_suffix(".png")
-        if write_if_possible(picture, partial(draw_coverage, calibration)):
+        if write_if_possible(picture, partial(draw_corner_errors, calibration)):
             result["picture"] = str(picture)
     result["next"] = "baggie calibrate camera-to-world, image-to-robot or hand-eye, with --intrinsics " + str(
         options.out

@@ -21,7 +21,7 @@ from baggie.commissioning.questions import bounds, color, entry, number, several
 from baggie.errors import BaggieError, DataError, explained
 from baggie.files import parse_yaml, write_text
 from baggie.operator import Operator, Question, TerminalOperator, choice
-from baggie.options.workcells import NewWorkcellOptions, ShowWorkcellOptions
+from baggie.options.commissioning import NewWorkcellOptions, ShowWorkcellOptions
 from baggie.robot.arm import ArmInfo
 from baggie.robot.franka.models import MODELS
 from baggie.workcell.workcell_file import (

@@ -14,8 +14,8 @@ import numpy as np
 
 from baggie.errors import BaggieError, UsageError
 from baggie.geometry import FloatArray, rigid, transform_points
-from baggie.options.choices import BOARD, HAND_BOARD, HAND_MARKER, TABLE_MARKER
-from baggie.options.workcells import PrintOptions
+from baggie.options.commissioning import PrintOptions
+from baggie.options.values import BOARD, HAND_BOARD, HAND_MARKER, TABLE_MARKER
 from baggie.vision.printing import print_goal_card, print_target
 from baggie.vision.targets import Target, parse_target
 

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baggie.calibration.camera_to_world import CameraToWorld, fit_camera_to_world
 from baggie.calibration.files import CameraIdentity, read_views_file
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.camera_to_world import CameraToWorld, fit_camera_to_world
-from baggie.calibration.world.robot_to_world import RobotToWorld, compose, fit_from_axes, fit_from_points
+from baggie.calibration.robot_to_world import RobotToWorld, compose, fit_from_axes, fit_from_points
 from baggie.commissioning.printed import T_world_target, points_to_touch
 from baggie.commissioning.session import Bench, ViewFolder, open_bench
 from baggie.errors import CalibrationError, DataError
 from baggie.geometry import transform_points
 from baggie.operator import Operator
-from baggie.options.calibrating import CameraToWorldOptions, RobotToWorldOptions
+from baggie.options.commissioning import CameraToWorldOptions, RobotToWorldOptions
 from baggie.pictures import read_pictures
 from baggie.robot.arm import hand_pose
-from baggie.vision.targets import Seen, Target, parse_target, with_sag
+from baggie.vision.targets import Target, TargetDetection, parse_target, with_sag
 
 
 def calibrate_camera_to_world(
@@ -78,7 +78,7 @@ def calibrate_camera_to_world_live(bench: Bench, options: CameraToWorldOptions) 
 def _from_pictures(
     source: Path, target: Target, lens: CameraCalibration, depths: Sequence[NDArray[np.float32]] = ()
 ) -> CameraToWorld:
-    seen: dict[str, Seen] = {}
+    seen: dict[str, TargetDetection] = {}
     for name, picture in read_pictures(source):
         height, width = picture.shape[:2]
         lens.camera.check(CameraIdentity(lens.camera.name, width, height), "the camera's calibration")

@@ -23,10 +23,10 @@ from baggie.commissioning.assistant import Assistant, Person
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_text
 from baggie.operator import Line, Operator, Picture, TerminalOperator
-from baggie.options.calibrating import LiveOptions
+from baggie.options.commissioning import LiveOptions
 from baggie.pictures import write_picture
 from baggie.types import Image, Observation
-from baggie.vision.targets import Seen
+from baggie.vision.targets import TargetDetection
 from baggie.workcell.workcell import Workcell
 
 
@@ -60,7 +60,7 @@ class Bench:
         """Tell in a line what came of something."""
         self.operator.tell(Line(words))
 
-    def show(self, folder: Path, picture: Image, seen: Seen | None, words: str) -> None:
+    def show(self, folder: Path, picture: Image, seen: TargetDetection | None, words: str) -> None:
         """Show what the camera sees now, what was found in it, and what to do next.
 
         A file of it, FOLDER.live.jpg, is not in the folder, whose pictures are to be measured in.
@@ -106,7 +106,7 @@ def _assistant(cell: Workcell, seed: int, person: Assistant) -> Assistant:
     return SimulatedAssistant(cell, seed)
 
 
-def drawn_upon(picture: Image, seen: Seen | None, words: str) -> Image:
+def drawn_upon(picture: Image, seen: TargetDetection | None, words: str) -> Image:
     """A picture with what was found in it, and words above."""
     canvas = picture.copy()
     radius = max(2, picture.shape[1] // 320)

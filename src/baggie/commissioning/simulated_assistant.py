@@ -15,7 +15,7 @@ from baggie.geometry import FloatArray, PlanarPose, invert_transform, rigid, tra
 from baggie.lab.web import LabControl
 from baggie.seeds import first_fit
 from baggie.sim.cell import Cell
-from baggie.vision.targets import Marker, Target
+from baggie.vision.targets import ArucoMarker, Target
 from baggie.workcell.simulated import SimulatedWorkcell
 
 ASIDE = PlanarPose(0.20, 0.55)
@@ -58,9 +58,13 @@ class SimulatedAssistant:
 
         That is, the same cell and seed always find the board at the same place.
         """
-        rng = self._rng if isinstance(target, Marker) else seeds.generator(seeds.CALIBRATION, self._seed, 4)
+        rng = (
+            self._rng
+            if isinstance(target, ArucoMarker)
+            else seeds.generator(seeds.CALIBRATION, self._seed, 4)
+        )
         x, y = rng.uniform(0.47, 0.53), rng.uniform(-0.03, 0.03)
-        if isinstance(target, Marker):
+        if isinstance(target, ArucoMarker):
             x, y = self._cell.settings.workspace.sample(rng, 0.04)
         self.lay_at(target, PlanarPose(float(x), float(y), float(rng.uniform(-0.2, 0.2) - np.pi / 2)))
 

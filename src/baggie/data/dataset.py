@@ -1,8 +1,6 @@
 """Reading attempts back: numbers at once, pictures when they are asked for. Reading never writes.
 
-The numbers of all attempts at once.
-
-They lie in as many small files as there are attempts, each slow to open. `attempts/index.parquet` gathers
+The numbers lie in as many small files as there are attempts, each slow to open. `attempts/index.parquet` gathers
 them. It is a cache: records never change, so a row of it is right as long as its record exists, and what it
 lacks is read from the records themselves. Only writers write it.
 """
@@ -33,7 +31,7 @@ from baggie.data.files import (
     attempt_id_of,
     broken,
     check_complete,
-    read_json,
+    read_complete_json,
     read_parquet,
     write_all,
 )
@@ -127,7 +125,9 @@ def open_dataset(root: Path | str) -> Dataset:
     layout = Layout(Path(root))
     settings = DatasetSettings.read(layout)
     # `info.json` is written last: what it counts is complete, even while someone is recording.
-    info = read_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    info = (
+        read_complete_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    )
     episodes, frames = info["total_episodes"], info["total_frames"]
     check_complete(layout.data(episode) for episode in range(episodes))
     numbers = read_numbers(layout, _LISTED)[:frames]
@@ -291,7 +291,7 @@ class Dataset(Sequence[Attempt]):
         return maps
 
     def numbers(self) -> dict[str, NDArray[Any]]:
-        """All numbers of all attempts by name, `(N, ...)`, without touching a picture.
+        """Read all numbers of all attempts by name, `(N, ...)`, without touching a picture.
 
         Poses (`commanded`, `executed`: `(N, 6)`; `truth_before`, `truth_after`: `(N, 3)`) are metres and
         radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for

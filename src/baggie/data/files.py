@@ -1,6 +1,4 @@
-"""Writing so that a kill, a power cut or a full disk loses nothing; reading that names a broken file.
-
-Where the files of a dataset lie.
+"""A dataset's files and settings, writing that no kill or full disk spoils, reading that names a broken file.
 
     meta/info.json, meta/stats.json, meta/tasks.parquet
     meta/episodes/chunk-000/file-012.parquet      episode 12, as LeRobot describes it
@@ -11,9 +9,8 @@ Where the files of a dataset lie.
     .baggie/                                      the writer's lock, and files not finished yet
 
 Episodes, here LeRobot's, count in order of arrival; attempts carry the number they were given. A file of another name,
-or in another place than its number's, is not ours: it is passed over and stays.
-
-What a dataset was collected with: fixed when it is begun, checked when it is continued.
+or in another place than its number's, is not ours: it is passed over and stays. What a dataset was collected with is
+fixed when it is begun, and checked when it is continued.
 """
 
 from __future__ import annotations
@@ -132,7 +129,7 @@ def broken(path: Path, what: str) -> DataError:
     return DataError(f"{path} {what}: put it back from a copy, or collect again into another folder")
 
 
-def read_json(path: Path) -> Any:
+def read_complete_json(path: Path) -> Any:
     """The content of a JSON file. Raises DataError when it is missing or cut off."""
     try:
         return json.loads(path.read_bytes())
@@ -321,7 +318,7 @@ class DatasetSettings:
     def read(cls, layout: Layout) -> DatasetSettings:
         """The settings of a dataset on disk. Raises DataError where there is none."""
         _check_is_dataset(layout)
-        content = read_json(layout.collection)
+        content = read_complete_json(layout.collection)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise DataError(
                 f"{layout.root} is written in another format than {FORMAT}: "

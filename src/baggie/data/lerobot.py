@@ -1,4 +1,4 @@
-"""What LeRobot sees of attempts: frames of episodes, in its v3.0 layout, without importing lerobot.
+"""Attempts as LeRobot reads them: frames of episodes in its v3.0 layout, and their statistics; without lerobot.
 
 An attempt is a frame, and an episode of one frame unless it belongs to an episode with others.
 
@@ -6,11 +6,10 @@ LeRobot makes every image-typed column and every `observation*` a policy's input
 output, so only what a policy may see and must produce goes by those names; all else here is `next.*` or
 numeric `annotation.*`.
 
-Statistics of a growing dataset, exact at any time, at a cost per attempt that hardly grows.
-
-LeRobot's own writer averages the quantiles of its episodes, which for one-frame episodes gives q01 = q99 =
-mean. Here every value seen is kept, sorted, column by column (8 bytes a number), and pictures are kept as
-histograms: 256 counts a channel hold all there is to know about 8-bit pixels.
+Statistics are exact at any time, at a cost per attempt that hardly grows. LeRobot's own writer averages the quantiles
+of its episodes, which for one-frame episodes gives q01 = q99 = mean. Here every value seen is kept, sorted, column by
+column (8 bytes a number), and pictures are kept as histograms: 256 counts a channel hold all there is to know about
+8-bit pixels.
 """
 
 from __future__ import annotations
@@ -113,7 +112,7 @@ class RunningStats:
         self._squares = ((values - self._mean) ** 2).sum(axis=0)
 
     def add(self, row: Mapping[str, ArrayLike]) -> None:
-        """See one row more."""
+        """Add one row to the statistics."""
         values = self._flat(row)
         self._count += 1
         if self._count == 1:

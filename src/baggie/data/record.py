@@ -1,8 +1,7 @@
 """An attempt as one row of our own parquet: every number exact, every picture but the one before.
 
-The picture before lies in the LeRobot part of the dataset, once.
-
-Pictures as PNG and back: colour exactly, depth to the millimetre, heights to a hundredth of one.
+The picture before lies in the LeRobot part of the dataset, once. Pictures are PNGs: colour exact, depth to the
+millimetre, heights to a hundredth of one.
 """
 
 from __future__ import annotations
@@ -177,7 +176,7 @@ def complete(table: pa.Table, columns: Sequence[str], source: Path) -> pa.Table:
 
 
 def fit(attempt: Attempt, size: tuple[int, int]) -> Attempt:
-    """The same attempt with its pictures, intrinsics and box corners at `size` (width, height) pixels.
+    """Resize the pictures, intrinsics and box corners of an attempt to `size` (width, height) pixels.
 
     Raises `BaggieError` for an orthographic picture of another size.
     """
@@ -192,7 +191,7 @@ def fit(attempt: Attempt, size: tuple[int, int]) -> Attempt:
 
 
 def without_depth(attempt: Attempt) -> Attempt:
-    """The same attempt, its pictures in colour alone."""
+    """Drop the depth of an attempt: its pictures in colour alone."""
     before, after = (
         None if seen is None else dataclasses.replace(seen, depth=None)
         for seen in (attempt.before, attempt.after)

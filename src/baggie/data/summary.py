@@ -1,6 +1,6 @@
-"""What a dataset holds: in numbers, and as a picture of pictures.
+"""A dataset's content in numbers and as a contact sheet, and the goals of its attempts.
 
-Goals for recorded attempts: where the bag came to rest is where it had been meant to go.
+A recorded attempt's goal is where the bag came to rest, as if it had been meant to go there.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _size(root: Path) -> int:
 
 
 def _episodes(dataset: Dataset) -> dict[str, Any]:
-    """Nothing where all attempts stand alone."""
+    """Count the episodes; empty where all attempts stand alone."""
     inside = dataset.episodes >= 0
     if not inside.any():
         return {}

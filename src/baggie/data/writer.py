@@ -1,9 +1,4 @@
-"""Recording attempts, one at a time, so that none is lost or doubled whatever happens.
-
-What a writer remembers of the attempts on disk.
-
-What a dataset holds, made true again after its writer was killed.
-"""
+"""Recording attempts one at a time, so that none is lost or doubled whatever happens, and repair after a kill."""
 
 from __future__ import annotations
 
@@ -27,7 +22,7 @@ from baggie.data.files import (
     check_complete,
     json_bytes,
     parquet_bytes,
-    read_json,
+    read_complete_json,
     read_parquet,
     remove,
     write_all,
@@ -137,7 +132,9 @@ def repair(layout: Layout, settings: DatasetSettings) -> Contents:
     description of the episode it was to go into is written anew. Raises DataError when files that `info.json`
     counts are missing or cut off, or when another tool changed the dataset; then nothing is touched.
     """
-    info = read_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    info = (
+        read_complete_json(layout.info) if layout.info.exists() else {"total_episodes": 0, "total_frames": 0}
+    )
     counted = info["total_episodes"]
     files = layout.frames()
     episodes = max(counted, len(files))

@@ -14,7 +14,7 @@ from baggie.collect.machine import random_place
 from baggie.errors import BaggieError
 from baggie.evaluation.setup import Setup
 from baggie.geometry import PlanarPose
-from baggie.options.choices import GoalKind
+from baggie.options.values import GoalKind
 from baggie.seeds import first_fit
 from baggie.types import Goal, Observation
 from baggie.vision.goal_card import find_card

@@ -23,8 +23,8 @@ from baggie.operator import Operator, progress
 from baggie.options.evaluating import EvaluateOptions
 from baggie.pictures import read_picture, same_shape
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy
-from baggie.policies.checkpoint import check_camera
-from baggie.policies.color_mask import CONFIG_FILE
+from baggie.policies.baselines import CONFIG_FILE
+from baggie.policies.checkpoint import check_picture_shape
 from baggie.policies.exported import ExportedPolicy
 from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
@@ -140,7 +140,7 @@ def _open_real(options: EvaluateOptions, path: Path) -> Setup:
         else:
             policy = open_policy(options.policy, options.calibration, options.device)
         if isinstance(policy, LearnedPolicy | ExportedPolicy):
-            check_camera(cell.camera.size, policy.camera_size)
+            check_picture_shape(cell.camera.size, policy.camera_size)
     except BaggieError:
         cell.close()
         raise

@@ -12,10 +12,10 @@ from baggie.calibration.files import MAP_FILE
 from baggie.evaluation.setup import card_map
 from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
 from baggie.operator import Caution, Operator
-from baggie.options.choices import USUAL_TASK, GoalKind, Scenery
 from baggie.options.evaluating import EvaluateOptions
+from baggie.options.values import USUAL_TASK, GoalKind, Scenery
 from baggie.policies import ColorMaskPolicy
-from baggie.policies.color_mask import CONFIG_FILE
+from baggie.policies.baselines import CONFIG_FILE
 from baggie.registry import TASKS
 
 _GOALS = {"turned": "turned goals", "card": "card"}

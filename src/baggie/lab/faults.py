@@ -1,7 +1,4 @@
-"""What can go wrong in the lab on demand, by name.
-
-The lab's camera on the network: frames of the scene as it is now, one at a time, drawn only when somebody looks.
-"""
+"""Faults that the lab can be told to have, by name, and its camera's stream, which some of them disturb."""
 
 from __future__ import annotations
 
@@ -71,7 +68,7 @@ class LabCamera:
 
     def _frame(self) -> bytes:
         if not self._last or time.monotonic() >= self._frozen_until:
-            picture = self._lab.darkroom.develop(self._lab.call(self._lab.moment))
+            picture = self._lab.render_process.render(self._lab.call(self._lab.render_state))
             self._last = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _QUALITY)[1].tobytes()
         return self._last
 

@@ -41,7 +41,7 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         self.heal()
 
     def heal(self) -> None:
-        """Nothing goes wrong any more; an error that there is already has to be recovered from."""
+        """Let nothing go wrong any more; an error that there is already has to be recovered from."""
         self._wanted: list[str] = []
         self._refusals = 0
         self._deaf_ticks = self._lost = 0
@@ -69,7 +69,7 @@ class FciServer(FrankaRobotServer):  # type: ignore[misc]  # franky-sim has no t
         self._deaf_ticks, self._deaf = ticks, False
 
     def cut(self, seconds: float) -> None:
-        """As if somebody pulled the cable, and put it back after `seconds` of the wall clock."""
+        """Cut the connection, as if somebody pulled the cable, and put it back after `seconds` of the wall clock."""
         self.reset_state()
         self.gripper_server.reset_state()
         self._back_at = time.monotonic() + seconds

@@ -1,6 +1,6 @@
 """The virtual lab: a simulated workcell in which time goes on by itself, reached as a real robot is.
 
-Where the lab's pictures are drawn: in a process of its own, because MuJoCo's renderer lets no other thread run.
+Its pictures are drawn in a process of their own, because MuJoCo's renderer lets no other thread run.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @dataclass(frozen=True)
-class Moment:
+class RenderState:
     """All that a picture of a lab depends on."""
 
     state: FloatArray
@@ -53,14 +53,14 @@ class Moment:
     exposure: Exposure
 
     @classmethod
-    def of(cls, world: ArmWorld, exposure: Exposure) -> Moment:
+    def of(cls, world: ArmWorld, exposure: Exposure) -> RenderState:
         """What there is to see now."""
         state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, world.data, state, _STATE)
         camera = (world.cell.camera_position, world.cell.camera_rotation)
         return cls(state, world.model.geom_rgba.copy(), camera, exposure)
 
-    def lay_out(self, world: ArmWorld) -> None:
+    def apply_to(self, world: ArmWorld) -> None:
         """Make a world of the same cell look as it did then."""
         position, rotation = self.camera
         world.place_camera(replace(world.cell, camera_position=position, camera_rotation=rotation))
@@ -69,7 +69,7 @@ class Moment:
         world.update_fixed()
 
 
-class Darkroom:
+class RenderProcess:
     """The process that draws, one picture at a time."""
 
     def __init__(self, cell: int, picture_size: tuple[int, int]) -> None:
@@ -84,10 +84,10 @@ class Darkroom:
         if trouble is not None:
             raise BaggieError(trouble)
 
-    def develop(self, moment: Moment) -> Image:
-        """The picture of a moment, `(H, W, 3)`. Raises `EOFError` or `OSError` once it is closed."""
+    def render(self, state: RenderState) -> Image:
+        """Draw the picture `(H, W, 3)` of a state. Raises `EOFError` or `OSError` once it is closed."""
         with self._one_at_a_time:
-            self._pipe.send(moment)
+            self._pipe.send(state)
             picture: Image = self._pipe.recv()
             return picture
 
@@ -108,9 +108,9 @@ def _work(pipe: Connection, cell: int, picture_size: tuple[int, int]) -> None:
     pipe.send(None)
     rng = np.random.default_rng()
     while True:
-        moment: Moment = pipe.recv()
-        moment.lay_out(world)
-        pipe.send(renderer.look(moment.exposure, rng).color)
+        state: RenderState = pipe.recv()
+        state.apply_to(world)
+        pipe.send(renderer.look(state.exposure, rng).color)
 
 
 PORTS = (1337, 1338)
@@ -144,7 +144,7 @@ class Lab:
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
-        self.darkroom = Darkroom(cell, picture_size)
+        self.render_process = RenderProcess(cell, picture_size)
         self._pace = pace
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -157,7 +157,7 @@ class Lab:
         try:
             self.fci.init()
         except OSError:
-            self.darkroom.close()
+            self.render_process.close()
             raise BaggieError(
                 f"ports {PORTS[0]} and {PORTS[1]} of {host} cannot be had, perhaps because another lab has them; give "
                 "another address, such as --host 127.0.0.2"
@@ -166,7 +166,7 @@ class Lab:
     # -- time ---------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Until somebody closes the lab."""
+        """Let time pass until somebody closes the lab."""
         try:
             while not self._closing.is_set():
                 began = time.monotonic()
@@ -179,7 +179,7 @@ class Lab:
                     time.sleep(max(0.0, STEP_S / pace - (time.monotonic() - began)))
         finally:
             self.fci.cleanup()
-            self.darkroom.close()
+            self.render_process.close()
 
     def close(self) -> None:
         """End `run`; from any thread."""
@@ -297,6 +297,6 @@ class Lab:
         """Height of the bag's lowest point above the table."""
         return self.world.bodies[self.bag.name].bottom_m()
 
-    def moment(self) -> Moment:
-        """The scene as it is now, for the darkroom to draw."""
-        return Moment.of(self.world, self._exposure)
+    def render_state(self) -> RenderState:
+        """The scene as it is now, for the render process to draw."""
+        return RenderState.of(self.world, self._exposure)

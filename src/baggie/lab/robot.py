@@ -1,11 +1,8 @@
 """The arm of a simulated world, as a Franka robot is: commanded each millisecond, with Franka's words for its state.
 
 It has what `franky-sim`'s server calls on a robot. Commands become targets of the world's own position servos; physics
-runs in steps of several milliseconds, so that a world with a soft bag in it keeps up.
-
-What is commanded a thousand times a second, and how fast it changes: positions, velocities, accelerations.
-
-The simulated hand, as Franka's own controller leads it: towards a width, at a speed, with a force.
+runs in steps of several milliseconds, so that a world with a soft bag in it keeps up. The hand moves as Franka's own
+controller leads it: towards a width, at a speed, with a force.
 """
 
 from __future__ import annotations
@@ -22,14 +19,13 @@ from baggie.geometry import FloatArray
 from baggie.robot.franka.link import T_FLANGE_TOOL
 from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
-from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.arm_world import OPEN_M, ArmWorld, Fingers, upward_touch
 from baggie.sim.scene import ARM, arm_spec
-from baggie.sim.tools import OPEN_M, Fingers
 
 Difference = Callable[[FloatArray, FloatArray], FloatArray]
 
 
-class Trail:
+class CommandState:
     """The last command and its derivatives by finite differences: a client's plans go on from there."""
 
     def __init__(self, value: FloatArray, difference: Difference = np.subtract) -> None:
@@ -126,8 +122,8 @@ class LabRobot:
         self._hand_bodies = {world.model.body(ARM + name).id for name in _HAND}
         self._forces = deque[float](maxlen=round(FELT_OVER_S / STEP_S) | 1)
         self._tick = 0
-        self._joints = Trail(world.joints)
-        self._pose = Trail(np.eye(4), pose_difference)
+        self._joints = CommandState(world.joints)
+        self._pose = CommandState(np.eye(4), pose_difference)
         self._follows_pose = False
         self._last_command_tick = 0
         self._T_nominal_tool = np.eye(4)
@@ -271,5 +267,5 @@ def _floats(values: FloatArray) -> tuple[float, ...]:
 
 
 def _columns(transform: FloatArray) -> tuple[float, ...]:
-    """As libfranka writes them."""
+    """Write the columns of a transform as libfranka does."""
     return tuple(transform.T.ravel().tolist())

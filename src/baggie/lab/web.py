@@ -1,4 +1,4 @@
-"""The lab over HTTP: the camera's stream, and a channel to look behind the scenes and let things go wrong.
+"""The lab over HTTP: the camera's stream, a channel to know the truth, set the scene and cause faults, and its client.
 
 GET  /camera.mjpg
 GET  /truth
@@ -7,18 +7,19 @@ POST /bag?x=0.5&y=0.1&yaw=0&undented=1
 POST /block?x=0.5&y=0&height=0.04
 POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
-
-A program's side of the lab's control channel: know the truth, set the scene, let things go wrong.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import math
+import signal
 import sys
 import threading
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -26,9 +27,11 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from baggie.errors import BaggieError
+from baggie.files import write_text
 from baggie.geometry import PlanarPose
-from baggie.lab.faults import DEFAULT_S, LabCamera, cause
+from baggie.lab.faults import DEFAULT_S, LabCamera, cause, check_fault
 from baggie.lab.lab import Lab
+from baggie.options.commissioning import LabOptions
 
 _TIMEOUT_S = 60.0
 
@@ -66,7 +69,7 @@ class LabControl:
         self._ask("POST", "block", x=pose.x, y=pose.y, height=height_m)
 
     def take_block_away(self) -> None:
-        """Off the table."""
+        """Take the firm block off the table."""
         self._ask("POST", "block", height=0)
 
     def show_paddle(self, shown: bool) -> None:
@@ -115,7 +118,7 @@ class LabServer:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -189,7 +192,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(int(length)).decode("latin-1")
 
     def log_message(self, *arguments: object) -> None:
-        """Nothing on the terminal."""
+        """Write nothing on the terminal."""
 
     def _answer(self, status: HTTPStatus, content: dict[str, Any]) -> None:
         body = json.dumps(content).encode()
@@ -267,3 +270,54 @@ def _whole(words: dict[str, str], name: str, default: int | None = None, most: i
         pass
     bounds = "of at least 0" if most is None else f"from 0 to {most}"
     raise BaggieError(f"expected a whole number {bounds} as {name}, got {words.get(name, 'none')!r}")
+
+
+_FILE = """\
+# The virtual lab: a simulated workcell behind the interfaces of a real one (docs/lab.md).
+arm:
+  kind: franka
+  host: {host}
+  realtime: false
+  speed: 1.0
+camera:
+  source: {camera}
+  timeout_s: 20
+bag:
+  length_m: {bag.length_m}
+  width_m: {bag.width_m}
+  color: [{color}]
+"""
+
+
+def _print(text: str) -> None:
+    print(text, flush=True)
+
+
+def serve_lab(options: LabOptions, announce: Callable[[str], None] = _print) -> None:
+    """Keep a lab going until Ctrl-C, or until the process is told to end. `announce` gets the workcell file's text.
+
+    Raises `BaggieError` where an address cannot be had, or a fault is not one.
+    """
+    options.check()
+    for name, after_s in options.faults():
+        check_fault(name, after_s)
+    logging.getLogger("franky_sim").setLevel(logging.CRITICAL)  # a client that hangs up is no news
+    lab = Lab(options.cell, options.seed, options.host, options.pace, options.picture_size())
+    server = LabServer(lab, options.camera_port)
+    for name, after_s in options.faults():
+        cause(name, lab, server.camera, after_s)
+    text = workcell_text(lab, server)
+    if options.out is not None:
+        write_text(options.out, text)
+    announce(text)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: lab.close())
+    lab.run()
+    server.close()
+
+
+def workcell_text(lab: Lab, server: LabServer) -> str:
+    """The workcell file that opens the lab."""
+    bag = lab.bag
+    color = ", ".join(str(value) for value in bag.color)
+    return _FILE.format(host=lab.host, camera=server.address + STREAM, bag=bag, color=color)

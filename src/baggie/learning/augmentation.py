@@ -1,10 +1,7 @@
-"""Random changes to pictures that leave the label known: warps of the plane, and of the light.
+"""Random changes to pictures that leave the label known: of the view, the light, the looks and the object's shape.
 
-Random changes to what things look like: cloth, table, and clutter that has nothing to do with the task.
-
-The object keeps its shape and its shading, so a policy has to learn what a bag is, and not that bags are red.
-
-Random changes to the shape of what is to be picked: turned, larger, longer or round, with its middle kept in place.
+Looks are cloth, table and clutter; the object keeps its shading, so a policy has to learn what a bag is, and not that
+bags are red. Of another shape, or turned, an object keeps its middle in place.
 
 Objects that were always put down square to the table would teach a network to look at the table's grain, and objects of
 one shape that everything else is none.
@@ -96,7 +93,7 @@ def _tilt(rng: np.random.Generator, slope: float) -> FloatArray:
 
 
 def _about(matrix: FloatArray, center: FloatArray) -> FloatArray:
-    """The same map with its origin moved to `center`."""
+    """Conjugate a map so that its origin is at `center`."""
     to_center = np.eye(3)
     to_center[:2, 2] = center
     from_center = np.eye(3)
@@ -137,7 +134,7 @@ def object_mask(picture: Image, box: FloatArray) -> Mask:
 
 
 def random_look(rng: np.random.Generator, picture: Image, table: Image, mask: Mask) -> Image:
-    """The same scene `(H, W, 3)` with another cloth, half of the time another table, and clutter beside the object.
+    """Redraw the scene `(H, W, 3)` with another cloth, half of the time another table, and clutter beside the object.
 
     `table` is the scene `without_object`.
     """
@@ -196,7 +193,7 @@ def _pattern(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _other_table(rng: np.random.Generator, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of another colour, under other lamps, with more or less of its grain."""
+    """Redraw the table in another colour, under other lamps, with more or less of its grain."""
     smooth = cv2.GaussianBlur(seen, (0, 0), 4.0)
     grain = seen - smooth
     return np.asarray((smooth + rng.uniform(0.5, 3.0) * grain) * _tint(rng, seen.shape[:2]), np.float32)
@@ -272,13 +269,13 @@ class Shape:
         return (float(self.symmetry != ROUND), float(self.symmetry == LONG))
 
 
-def as_it_is(yaw: float, symmetry: int = SQUARE) -> Shape:
-    """An object that nothing was done to."""
+def unchanged(yaw: float, symmetry: int = SQUARE) -> Shape:
+    """Make the shape of an object that nothing was done to."""
     return Shape(yaw, symmetry, np.eye(2))
 
 
-def turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
-    """Half of the time turned by up to a quarter turn either way; `jacobian` `(2, 2)` is d table / d picture."""
+def randomly_turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shape:
+    """Turn an object, half of the time, by up to a quarter turn; `jacobian` `(2, 2)` is d table / d picture."""
     if rng.random() >= _TURNED:
         return shape
     angle = rng.uniform(-math.pi / 2, math.pi / 2)
@@ -289,7 +286,7 @@ def turned(rng: np.random.Generator, shape: Shape, jacobian: FloatArray) -> Shap
 
 
 def reshaped(rng: np.random.Generator, shape: Shape, jacobian: FloatArray, long_from: float) -> Shape:
-    """Of another size and, if it was square, stretched or round.
+    """Resize an object and, if it was square, stretch it or make it round.
 
     What is more than `long_from` times longer than wide is long.
     """

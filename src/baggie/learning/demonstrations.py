@@ -1,7 +1,4 @@
-"""Demonstrations on height maps: all that `transporter` learns from, in memory.
-
-Recordings of one camera as `transporter` learns from them: rectified through the map that the collector fitted.
-"""
+"""Demonstrations that `transporter` learns from, in memory: height maps, or one camera's pictures rectified to such."""
 
 from __future__ import annotations
 
@@ -21,10 +18,10 @@ from baggie.data.files import CALIBRATION_FOLDER
 from baggie.data.summary import goal_of, shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, Grid, PlanarPose, rotation
-from baggie.learning.augmentation import as_it_is, object_mask, turned, with_shape, without_object
-from baggie.learning.labels import directions
+from baggie.learning.augmentation import object_mask, randomly_turned, unchanged, with_shape, without_object
+from baggie.learning.samples import directions
 from baggie.learning.symmetry import Origin, check_symmetries, found_symmetries
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.policy import UNKNOWN, Scale
 from baggie.types import Attempt, PickPlace
 from baggie.vision.carried import Carried, place_of
@@ -103,7 +100,7 @@ def _turned(attempt: Attempt, rng: np.random.Generator) -> Attempt:
     pick, place = action.pick, action.place
     if np.isfinite(attempt.box_before).all():
         about = grid.to_pixels(pick.xy)[0]
-        shape = turned(rng, as_it_is(pick.yaw), grid.pixel_m * np.eye(2))
+        shape = randomly_turned(rng, unchanged(pick.yaw), grid.pixel_m * np.eye(2))
         mask = object_mask(before.color, attempt.box_before)
         table = without_object(before.color, mask)
         color, _ = with_shape(before.color, table, mask, about, shape)
@@ -178,7 +175,7 @@ class Demonstrations:
             )
 
     def only_carried(self, carried: Sequence[Carried | None]) -> Demonstrations:
-        """Those in which something was carried, and what; where the maps tell it of most, the rest went wrong.
+        """Keep the demonstrations in which something was carried; where maps tell it of most, the rest went wrong.
 
         `carried`: N. All of them where the maps tell it of few.
         """
@@ -209,7 +206,7 @@ class Demonstrations:
         return Scale(max(tops) + _HIGHER_M, max(_LANDS_PX, float(np.percentile(offs, 95)) + 1.0))
 
     def by_the_thing(self) -> Demonstrations:
-        """The same carries by a suction cup, each picked where it holds the thing best, and placed accordingly.
+        """Move the picks of a suction cup to where it holds each object best, and placed accordingly.
 
         Where somebody happened to pick says nothing, as a cup holds a thing anywhere where it is level; so what is
         taught is the thing. Fingers, and things with a hole, are picked as they were.

@@ -1,6 +1,6 @@
 """How the `keypoint` policy is taught: warped pictures, exchanged goals, labels in robot coordinates.
 
-How sure a policy may be, in metres: measured on attempts it did not learn from.
+How sure it may be, in metres, is measured on attempts it did not learn from.
 """
 
 from __future__ import annotations
@@ -20,17 +20,21 @@ from torch.optim import AdamW, Optimizer
 from baggie.data.summary import goal_of
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.learning.labels import SYSTEMATIC_M, Disagreement, Labels
 from baggie.learning.loop import Batch, Recipe
-from baggie.learning.samples import Changes, Samples
-from baggie.options.choices import Backbone
+from baggie.learning.samples import SYSTEMATIC_M, Changes, Disagreement, Labels, Samples
 from baggie.options.training import KeypointTraining
+from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import LONG, SQUARE, gaussians, phase_of
-from baggie.policies.keypoint.network import KeypointNet, Keypoints, ResNetFeatures, phases_under
-from baggie.policies.keypoint.plan import GoalInput, View
-from baggie.policies.keypoint.policy import KeypointPolicy
+from baggie.policies.keypoint.policy import (
+    KeypointNet,
+    KeypointPolicy,
+    Keypoints,
+    ResNetFeatures,
+    phases_under,
+)
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression.policy import load_imagenet
+from baggie.policies.planning import GoalInput, View
+from baggie.policies.regression import load_imagenet
 from baggie.types import Attempt
 
 COVERAGE = 0.9
@@ -38,12 +42,12 @@ COVERAGE = 0.9
 SEEN_M = 0.001
 """How far the middle of what is seen of a soft object is from its own, another way in every picture.
 
-A dent on one side moves the outline's middle, for the collector's eye and for the network alike."""
+A dent on one side moves the outline's middle, for the collector's detection and for the network alike."""
 _FEWEST = 10
 """Attempts without which nothing is said: a 90% radius needs at least nine."""
 
 
-def calibrate(
+def calibrate_radii(
     policy: KeypointPolicy, attempts: Sequence[Attempt], disagreement: Disagreement, opinions: int
 ) -> list[float] | None:
     """Set how many times the heat maps' spread the stated radii are, of pick and place, from held-out attempts.
@@ -233,9 +237,9 @@ class KeypointRecipe(Recipe):
         """Measure on held-out attempts how sure the policy may be; what there is to know about the labels."""
         assert isinstance(policy, KeypointPolicy)
         labels = self.labels
-        doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.doubts]
+        doubtful = [{"attempt_id": d.attempt_id, "what": d.what, "off_mm": d.off_mm} for d in labels.outliers]
         return {
-            "radius_times_spread": calibrate(
+            "radius_times_spread": calibrate_radii(
                 policy, val, labels.disagreement, opinions=2 if labels.pairs else 1
             ),
             "labels_fused": {

@@ -1,10 +1,6 @@
-"""The training loop: one for every policy that learns.
+"""The training loop of every policy that learns, and the recipe that makes batches and says what is minimised.
 
-What must not get in a training's way: preparing data, Ctrl-C, numbers that are nearly nothing.
-
-What the training loop needs to know of a policy: how batches are made and what is minimised.
-
-The state of a training on disk: a kill costs what was learned since the last save, and nothing else.
+Batches are prefetched in threads. A kill costs what was learned since the last save, and nothing else.
 """
 
 from __future__ import annotations
@@ -154,7 +150,7 @@ FILE = "resume.pt"
 
 
 @dataclass
-class State:
+class TrainingState:
     """All that changes during a training. Random numbers are none of it: every batch follows from seed and
     step.
     """
@@ -204,7 +200,7 @@ class State:
         return parts if self.average is None else parts | {"average": self.average}
 
 
-class Every:
+class Throttle:
     """True once every so many seconds."""
 
     def __init__(self, seconds: float) -> None:
@@ -226,7 +222,7 @@ _MEASURED = 10
 """Looks at the validation attempts on the way: to be seen, never to choose by."""
 
 
-class Training:
+class TrainingLoop:
     """A recipe at work in a folder. `run` goes from the step last saved to the end and returns the seconds it
     took.
     """
@@ -255,10 +251,10 @@ class Training:
         if recipe.average:
             average = AveragedModel(network, multi_avg_fn=_averaging(steps), use_buffers=True)
         where = f"{accelerator.device.type} with {accelerator.num_processes} processes"
-        self._state = State(network, optimizer, average, where)
+        self._state = TrainingState(network, optimizer, average, where)
         self._state.load(folder)
         self._model, self._optimizer = accelerator.prepare(network, optimizer)
-        self._save_now = Every(save_every_s)
+        self._save_now = Throttle(save_every_s)
         # A GPU takes batches faster than one core makes them; where a CPU learns, making them takes cores away from it.
         self._makers = 1 if accelerator.device.type == "cpu" else max(1, (os.cpu_count() or 1) // 2)
 

@@ -1,9 +1,8 @@
-"""Scenes turned and shifted on the table, or rearranged, with the labels carried along exactly.
+"""Height maps to learn from: turned, shifted or rearranged, as other cameras and lamps would show them, labels exact.
 
-Height maps as other cameras and other lamps would show them: gaps that nobody looks into, shadows cast elsewhere.
-
-Cameras look from aside, so what they see between things depends on which way these stand. From one demonstration a
-network takes that, and which way the shadow fell, for the task.
+Gaps are where nobody looks into, shadows are cast elsewhere. Cameras look from aside, so what they see between things
+depends on which way these stand. From one demonstration a network takes that, and which way the shadow fell, for the
+task.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.demonstrations import Demonstrations
-from baggie.learning.rearranged import Scene, rearranged, turn_about
+from baggie.learning.rearranged import MarkedMap, rearranged, turn_about
 from baggie.types import Image
-from baggie.vision.carried import Things, place_belongs_to
+from baggie.vision.carried import ObjectMap, place_belongs_to
 
 _GAP_M = 0.01
 """A gap is deeper."""
@@ -30,7 +29,7 @@ _SHADOW_PX = 16
 
 
 class Light(NamedTuple):
-    """A lamp aside."""
+    """The direction and strength of a lamp that stands aside and casts shadows."""
 
     way: float
     """Where it comes from, radians from u towards v."""
@@ -139,7 +138,7 @@ class MovedMaps:
         self._shown, self._moves, self._share, self._window = demonstrations, moves, rearranged, window
         self._places = demonstrations.places
         self._yaws: FloatArray = demonstrations.poses[:, [2, 5]]
-        self._known: dict[int, tuple[Things, NDArray[np.int32] | None]] = {}
+        self._known: dict[int, tuple[ObjectMap, NDArray[np.int32] | None]] = {}
         # What comes in from outside looks like the table, which is most of every map.
         self._table_color = np.median(demonstrations.colors[:, ::4, ::4], axis=(1, 2))
         self._table_height = np.median(demonstrations.heights[:, ::4, ::4], axis=(1, 2))
@@ -167,7 +166,7 @@ class MovedMaps:
         return [self._seen_otherwise(rng, each) for each in drawn] if self._moves.recolor else drawn
 
     def _seen_otherwise(self, rng: np.random.Generator, moved: MovedMap) -> MovedMap:
-        """In slightly other light, and now and then as from another side."""
+        """Redraw a map in slightly other light, and now and then as from another side."""
         color, height, pixel_m = moved.color, moved.height, self._shown.grid.pixel_m
         if rng.random() < self._moves.other_views:
             odd = 2 * round((rng.choice(_GAPS_M) / pixel_m - 1) / 2) + 1
@@ -199,7 +198,7 @@ class MovedMaps:
         places, (things, at) = self._places[number], self._things(number)
         if at is None or not at.any():
             return None
-        scene = Scene(self._shown.colors[number], self._shown.heights[number], places, at)
+        scene = MarkedMap(self._shown.colors[number], self._shown.heights[number], places, at)
         table_move = self._random_move(rng, places[at == 0], size)
         found = None if table_move is None else rearranged(rng, scene, things, table_move, size)
         if found is None:
@@ -210,11 +209,11 @@ class MovedMaps:
         yaws = wrap_angle(self._yaws[number] + turns)
         return MovedMap(found.color, found.height, np.stack(there), yaws, middle)
 
-    def _things(self, number: int) -> tuple[Things, NDArray[np.int32] | None]:
+    def _things(self, number: int) -> tuple[ObjectMap, NDArray[np.int32] | None]:
         """What stands in demonstration `number`, and to which of it pick and place `(2,)` belong, if anything tells."""
         if number not in self._known:
             places, height = self._places[number], self._shown.heights[number]
-            things = Things.on(height)
+            things = ObjectMap.on(height)
             at: NDArray[np.int32] | None = things.at(places)
             carried = self._shown.carried[number] if self._shown.carried else None
             if carried is not None and at is not None:

@@ -1,4 +1,4 @@
-"""Scenes rearranged: everything that stands alone on the table moved by itself, with the labels carried along exactly.
+"""Rearrange height maps: each object that stands alone moves by itself, and the labels move along exactly.
 
 From few demonstrations a network learns by heart which thing lay beside which. What holds in every scene is how what is
 picked belongs on what it is placed on; rearranged at random, nothing else is left to learn.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography
 from baggie.types import Image
-from baggie.vision.carried import Things, extent
+from baggie.vision.carried import ObjectMap, extent
 
 _WHOLE = 0.95
 """So much of a thing has to stay on the map."""
@@ -30,7 +30,7 @@ _TRIES = 40
 _ROLLS = 8
 
 
-class Scene(NamedTuple):
+class MarkedMap(NamedTuple):
     """A map with places marked in it."""
 
     color: Image
@@ -40,7 +40,7 @@ class Scene(NamedTuple):
     places: FloatArray
     """`(N, 2)`: (u, v) pixels."""
     at: NDArray[np.int32]
-    """`(N,)`: the thing at each place, as `Things.at` says; 0 is the table."""
+    """`(N,)`: the thing at each place, as `ObjectMap.at` says; 0 is the table."""
 
 
 class Rearranged(NamedTuple):
@@ -56,12 +56,12 @@ class Rearranged(NamedTuple):
 
 def rearranged(
     rng: np.random.Generator,
-    scene: Scene,
-    things: Things,
+    scene: MarkedMap,
+    things: ObjectMap,
     table_move: FloatArray,
     size: tuple[int, int] | None = None,
 ) -> Rearranged | None:
-    """Every thing turned at random and put where there is room for it; None where no room is found for one.
+    """Turn every object at random and put it where there is room for it; None where no room is found for one.
 
     `things`: those of the scene. The table itself, and places on it, move by `table_move` `(3, 3)`; nothing is put down
     where a place on the table is. `size` (width, height) pixels: of the new map; as the old one unless given.
@@ -154,7 +154,7 @@ class _Table:
         part += share[..., None] * (moved - part)
 
 
-def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: Things) -> NDArray[np.float32]:
+def _bare(rng: np.random.Generator, layers: NDArray[np.float32], things: ObjectMap) -> NDArray[np.float32]:
     """The table without the things: where one was is a piece of it from elsewhere."""
     bare, missing = layers.copy(), things.surroundings > 0
     bare[missing] = np.median(layers[::4, ::4], axis=(0, 1))  # should nothing else be found

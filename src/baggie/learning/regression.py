@@ -12,9 +12,9 @@ from torch.optim import Adam, Optimizer
 
 from baggie.data.summary import goal_of
 from baggie.learning.loop import Batch, Recipe
-from baggie.options.choices import DrawnStyle, Statistics
 from baggie.options.training import RegressionTraining
-from baggie.policies.regression.policy import RegressionNet, RegressionPolicy, load_imagenet
+from baggie.options.values import DrawnStyle, Statistics
+from baggie.policies.regression import RegressionNet, RegressionPolicy, load_imagenet
 from baggie.types import Attempt
 
 
@@ -65,7 +65,7 @@ class RegressionRecipe(Recipe):
         return Adam(self.policy.network.parameters(), lr=1e-4, fused=True)
 
     def rate(self, progress: float) -> float:
-        """Always the same."""
+        """Keep the learning rate as it is."""
         return 1.0
 
     def batch(self, rng: np.random.Generator) -> Batch:

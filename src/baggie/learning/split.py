@@ -1,7 +1,4 @@
-"""Which attempts teach and which measure: by a rule, before anything is trained.
-
-Which episodes teach and which measure, for policies of tasks that take several attempts.
-"""
+"""Split attempts, or whole episodes of several steps, into those that teach and those that measure, by a rule."""
 
 from __future__ import annotations
 
@@ -51,7 +48,7 @@ class Split:
 
     @classmethod
     def of(cls, attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
-        """By `RULE`; four fifths and one fifth, at most 200 and 50, where it is not said how many.
+        """Split attempts by `RULE`; four fifths and one fifth, at most 200 and 50, where it is not said how many.
 
         Raises `DataError` when there are too few attempts, or they are from different cells or cameras.
         """
@@ -91,7 +88,7 @@ _MOST = 0.5
 
 
 def split_episodes(attempts: Sequence[Attempt], train: int | None = None, val: int | None = None) -> Split:
-    """By `EPISODES_RULE`; `train` and `val` count episodes, and none is in both.
+    """Split episodes by `EPISODES_RULE`; `train` and `val` count episodes, and none is in both.
 
     An attempt of no episode is one by itself.
 

@@ -105,7 +105,7 @@ def _radius(mask: Mask) -> float:
 
 
 def _share(mask: NDArray[Any], other: NDArray[Any]) -> float:
-    """Of what either of two footprints covers, what both do."""
+    """Share of what either of two footprints covers that both do (intersection over union)."""
     return float(np.minimum(mask, other).sum() / np.maximum(mask, other).sum())
 
 

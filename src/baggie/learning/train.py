@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -15,14 +16,17 @@ from accelerate import Accelerator
 
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.data import Dataset, open_dataset
-from baggie.data.files import CALIBRATION_FOLDER, read_json
-from baggie.errors import DataError
-from baggie.learning.loop import Recipe, Training
-from baggie.learning.measure import measure
+from baggie.data.files import CALIBRATION_FOLDER, read_complete_json
+from baggie.data.summary import shown_goal
+from baggie.errors import BaggieError, DataError
+from baggie.learning.demonstrations import carried_in
+from baggie.learning.loop import Recipe, TrainingLoop
 from baggie.learning.split import Split
+from baggie.metrics import action_errors, references, summary, symmetry_of
 from baggie.operator import Line, Nobody, Operator, TerminalOperator
 from baggie.options.training import TrainOptions
 from baggie.policies import checkpoint
+from baggie.policies.base import Policy
 from baggie.policies.learned import LearnedPolicy, check_device
 from baggie.registry import named
 from baggie.results import TRAINING, check_unmixed, provenance
@@ -66,7 +70,7 @@ def train(
     if (options.out / METRICS).exists():
         note = f"{options.out} holds this very training, finished; to train again, give another --out"
         operator.tell(Line(note))
-        finished: dict[str, Any] = read_json(options.out / METRICS)
+        finished: dict[str, Any] = read_complete_json(options.out / METRICS)
         return finished
     if None in (options.train, options.val):
         train, val = (len({each.attempt_id for each in part}) for part in (split.train, split.val))
@@ -83,7 +87,7 @@ def train(
         operator.tell(Line(squeezed))
     if note := recipe.note():
         operator.tell(Line(note))
-    training = Training(
+    training = TrainingLoop(
         recipe,
         options.out,
         steps=steps,
@@ -92,7 +96,7 @@ def train(
         accelerator=accelerator,
         operator=operator,
     )
-    judge = partial(measure, attempts=split.val, symmetry=recipe.symmetry)
+    judge = partial(plan_errors, attempts=split.val, symmetry=recipe.symmetry)
     seconds = training.run(judge)
     policy = training.policy
     metrics = {
@@ -174,3 +178,31 @@ def _chosen(config: Any) -> Any:
     if not isinstance(config, Mapping):
         return config
     return {name: _chosen(value) for name, value in config.items() if value is not None}
+
+
+def plan_errors(policy: Policy, attempts: Sequence[Attempt], symmetry: int | None = None) -> dict[str, Any]:
+    """Measure how far plans are off: summaries by quantity of `labels` and `truth`; how many were `without_plan`.
+
+    `symmetry`: how often a turn what is moved looks the same, as each attempt says unless given; yaws are compared
+    modulo that part of a turn. Of a thing that the maps before and after tell, a place is off by as much as its middle
+    comes to lie off, wherever it is held.
+    Attempts for which the policy could not tell have no error; where that is all of them, nor are there summaries.
+    """
+    errors: defaultdict[str, list[dict[str, float]]] = defaultdict(list)
+    without_plan = 0
+    for attempt in attempts:
+        try:
+            action = policy.plan(attempt.before, shown_goal(attempt)).action
+        except BaggieError:
+            without_plan += 1
+            continue
+        same = symmetry_of(attempt) if symmetry is None else symmetry
+        thing, grid = carried_in(attempt), attempt.before.grid
+        stands = None if thing is None or grid is None else thing.stood_at(action.pick, grid)
+        for reference, right in references(attempt).items():
+            errors[reference].append(action_errors(action, right, same, stands))
+    summaries = {
+        reference: {key: summary([row[key] for row in rows]) for key in rows[0]}
+        for reference, rows in errors.items()
+    }
+    return {**summaries, "without_plan": without_plan}

@@ -27,9 +27,9 @@ from baggie.learning.demonstrations import (
 from baggie.learning.loop import Batch, Recipe
 from baggie.learning.moved_maps import MovedMap, MovedMaps, Moves
 from baggie.learning.split import Split, split_episodes
-from baggie.options.choices import Preset
 from baggie.options.training import TransporterTraining
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.options.values import Preset
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
@@ -140,7 +140,7 @@ class TransporterRecipe(Recipe):
 
     @classmethod
     def split(cls, attempts: Sequence[Attempt], train: int | None, val: int | None) -> Split:
-        """By whole episodes, but for one camera's pictures."""
+        """Split by whole episodes, but for one camera's pictures."""
         return (Split.of if from_camera(attempts) else split_episodes)(attempts, train, val)
 
     def chosen(self) -> dict[str, Any]:

@@ -14,8 +14,18 @@ from annotated_types import Interval
 from tyro.conf import Positional
 
 from baggie.errors import UsageError
-from baggie.options.choices import USUAL_TASK, CollectedScenery, CollectedStyle
-from baggie.options.ranges import Bounds, Count, NotNegative, Options, Positive, Seed, Workers
+from baggie.options.values import (
+    USUAL_TASK,
+    Bounds,
+    CollectedScenery,
+    CollectedStyle,
+    Count,
+    NotNegative,
+    Options,
+    Positive,
+    Seed,
+    Workers,
+)
 from baggie.registry import TASKS
 
 

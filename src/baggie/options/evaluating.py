@@ -10,9 +10,20 @@ from typing import Literal, get_args
 from tyro.conf import Positional
 
 from baggie.errors import UsageError
-from baggie.options.choices import COLOR_MASK, ORACLE, USUAL_TASK, GoalKind, Scenery
 from baggie.options.collecting import TaskName
-from baggie.options.ranges import Count, Number, Options, Positive, Seed, Workers
+from baggie.options.values import (
+    COLOR_MASK,
+    ORACLE,
+    USUAL_TASK,
+    Count,
+    GoalKind,
+    Number,
+    Options,
+    Positive,
+    Scenery,
+    Seed,
+    Workers,
+)
 from baggie.registry import TASKS
 
 _OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")

@@ -13,8 +13,19 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Interval
 
 from baggie.errors import UsageError
-from baggie.options.choices import Backbone, DrawnStyle, Preset, Statistics
-from baggie.options.ranges import Color, Count, NotNegative, Number, Options, Seed, Share
+from baggie.options.values import (
+    Backbone,
+    Color,
+    Count,
+    DrawnStyle,
+    NotNegative,
+    Number,
+    Options,
+    Preset,
+    Seed,
+    Share,
+    Statistics,
+)
 from baggie.registry import Registry
 
 

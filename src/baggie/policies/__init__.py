@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 from baggie.policies.base import CLASSES, Policy, class_named, load_policy
 
 if TYPE_CHECKING:
-    from baggie.policies.color_mask import ColorMaskPolicy
+    from baggie.policies.baselines import ColorMaskPolicy, OraclePolicy
     from baggie.policies.keypoint.policy import KeypointPolicy
     from baggie.policies.learned import LearnedPolicy
-    from baggie.policies.oracle import OraclePolicy
-    from baggie.policies.regression.policy import RegressionPolicy
+    from baggie.policies.regression import RegressionPolicy
     from baggie.policies.transporter.policy import TransporterPolicy
 
 __all__ = [

@@ -19,7 +19,7 @@ from baggie.calibration.files import REFERENCE_FILE
 from baggie.errors import BaggieError, DataError, WriteError
 from baggie.files import read_yaml
 from baggie.pictures import same_shape
-from baggie.types import Goal, Image, Observation, seen
+from baggie.types import Goal, Image, Observation, require_observation
 from baggie.vision.draw import check_goal
 
 CONFIG = "config.yaml"
@@ -119,7 +119,7 @@ def _reference_size(folder: Path) -> list[int] | None:
     return list(read_picture(path).shape[1::-1])
 
 
-def check_camera(size: tuple[int, int], camera_size: tuple[int, int]) -> None:
+def check_picture_shape(size: tuple[int, int], camera_size: tuple[int, int]) -> None:
     """Raise `BaggieError` where pictures of `size` are of another shape than those the training's camera took."""
     (width, height), (own_width, own_height) = size, camera_size
     if not same_shape(size, camera_size):
@@ -129,7 +129,7 @@ def check_camera(size: tuple[int, int], camera_size: tuple[int, int]) -> None:
         )
 
 
-def as_trained(
+def at_training_size(
     observation: Observation, goal: Goal, size: tuple[int, int], camera_size: tuple[int, int]
 ) -> tuple[Image, Goal]:
     """Picture and goal at `size` (width, height), that of the training pictures.
@@ -137,9 +137,9 @@ def as_trained(
     Those are pictures of `camera_size` resized, squeezed where their shape is another. Raises `BaggieError` when the
     goal leaves the picture, or the picture is neither one of the training's size nor of the camera's shape.
     """
-    (width, height), (to_width, to_height) = seen(observation).size, size
+    (width, height), (to_width, to_height) = require_observation(observation).size, size
     check_goal(goal, (width, height))
     if (width, height) != size:
-        check_camera((width, height), camera_size)
+        check_picture_shape((width, height), camera_size)
     color = Observation(observation.color).resized(to_width, to_height).color
     return color, goal.scaled(to_width / width, to_height / height)

@@ -20,11 +20,10 @@ from baggie.errors import BaggieError, DataError, install_extra
 from baggie.options.evaluating import ExportOptions
 from baggie.policies import checkpoint, load_policy
 from baggie.policies.exported import Graph
-from baggie.policies.keypoint.plan import Reading
 from baggie.policies.keypoint.policy import KeypointPolicy
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression.plan import SIDE
-from baggie.policies.regression.policy import RegressionPolicy
+from baggie.policies.planning import REGRESSION_SIDE, Reading
+from baggie.policies.regression import RegressionPolicy
 
 _OPSET = 17
 """onnxruntime knows it since 1.12."""
@@ -60,7 +59,7 @@ class Exportable:
             lengths = {"corners": "corners", "goal_xy": "corners"}
             return cls(policy.reader(), inputs, Reading._fields, lengths)
         if isinstance(policy, RegressionPolicy):
-            side = SIDE
+            side = REGRESSION_SIDE
             return cls(policy.network.eval(), {"images": np.zeros((1, 3, side, side), np.uint8)}, ["xy"], {})
         raise BaggieError(
             f"expected a keypoint or regression policy to export, got {policy.name}; that one runs with PyTorch only: "

@@ -13,9 +13,17 @@ from numpy.typing import NDArray
 from baggie.errors import DataError, install_extra
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.policies.keypoint.plan import Float32, GoalInput, Reading, View, plan
-from baggie.policies.regression import plan as regression_plan
-from baggie.types import Goal, Observation, Plan, marked
+from baggie.policies.planning import (
+    REGRESSION_SIDE,
+    Float32,
+    GoalInput,
+    Reading,
+    View,
+    keypoint_plan,
+    regression_goal_input,
+    regression_plan,
+)
+from baggie.types import Goal, Observation, Plan, require_goal
 
 
 class Graph:
@@ -51,13 +59,13 @@ class Graph:
         """Their shapes by name; a side of any length has a name in place of its length."""
 
     def run(self, outputs: Sequence[str], inputs: Mapping[str, NDArray[Any]]) -> list[Float32]:
-        """These outputs, in this order."""
+        """Run the network: these outputs, in this order."""
         given = {name: np.ascontiguousarray(array) for name, array in inputs.items()}
         return [np.asarray(part, np.float32) for part in self._session.run(list(outputs), given)]
 
 
 class ExportedPolicy(Policy):
-    """What both kinds share: it belongs to one cell, and to pictures of one shape."""
+    """Base of exported policies: it belongs to one cell, and to pictures of one shape."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         """`config`: the content of `config.yaml`. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
@@ -68,7 +76,7 @@ class ExportedPolicy(Policy):
 
 
 class ExportedKeypoint(ExportedPolicy):
-    """`keypoint`; see `keypoint_plan`."""
+    """An exported `keypoint` policy; see `keypoint_plan`."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         super().__init__(graph, config)
@@ -78,37 +86,42 @@ class ExportedKeypoint(ExportedPolicy):
         _check(graph, (1, self.goal_input.channels, height, width))
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Where to pick and where to place; see `keypoint_plan.plan`, whose errors it raises."""
-        return plan(
-            self.read, self.view, self.goal_input, observation, marked(goal), camera_size=self.camera_size
+        """Where to pick and where to place; see `keypoint_plan`, whose errors it raises."""
+        return keypoint_plan(
+            self.read,
+            self.view,
+            self.goal_input,
+            observation,
+            require_goal(goal),
+            camera_size=self.camera_size,
         )
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
-        """Run the network; see `keypoint_plan.Read`."""
+        """Run the network; see `KeypointRead`."""
         return Reading(*self.graph.run(Reading._fields, {"images": images, "near": near, "corners": corners}))
 
 
 class ExportedRegression(ExportedPolicy):
-    """`regression`; see `regression_plan`."""
+    """An exported `regression` policy; see `regression_plan`."""
 
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         super().__init__(graph, config)
-        self.goal_input = regression_plan.goal_input(config["model"])
-        _check(graph, (1, 3, regression_plan.SIDE, regression_plan.SIDE))
+        self.goal_input = regression_goal_input(config["model"])
+        _check(graph, (1, 3, REGRESSION_SIDE, REGRESSION_SIDE))
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return regression_plan.plan(
+        """Pick and place positions; see `regression_plan`, whose errors it raises."""
+        return regression_plan(
             self.read,
             self.goal_input,
             self.picture_size,
             observation,
-            marked(goal),
+            require_goal(goal),
             camera_size=self.camera_size,
         )
 
     def read(self, images: NDArray[np.uint8]) -> Float32:
-        """Run the network; see `regression_plan.Read`."""
+        """Run the network; see `RegressionRead`."""
         return self.graph.run(["xy"], {"images": images})[0]
 
 

@@ -100,7 +100,7 @@ class LearnedPolicy(Policy):
         return next(self.network.parameters()).device
 
     def config(self) -> dict[str, Any]:
-        """All that is needed to build it again, and how it was trained."""
+        """Give all that is needed to build the policy again, and how it was trained."""
         return {
             "policy": self.name,
             "cell": self.cell,

@@ -41,7 +41,7 @@ class _Asked:
 
 
 class Planner(Protocol):
-    """Of a policy, what is asked of it."""
+    """Whatever plans from a picture: a policy, or a memory that asks one."""
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """Where to pick and where to place."""

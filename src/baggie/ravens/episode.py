@@ -1,10 +1,6 @@
-"""The five files of a Ravens episode, plain data by now: whether they hold what they should.
+"""Episodes of the Ravens benchmark (Zeng et al., "Transporter Networks", CoRL 2020): what they hold, checked.
 
-The three cameras of the Ravens benchmark, as its recordings are read.
-
-What an episode of the Ravens benchmark (Zeng et al., "Transporter Networks", CoRL 2020) holds.
-
-What Ravens' three cameras see at one moment, as one picture from straight above.
+Its three cameras' pictures of one moment are fused to one from straight above.
 """
 
 from __future__ import annotations

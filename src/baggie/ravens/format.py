@@ -8,8 +8,6 @@
 
 for the episode 0 with the seed 9000. They are pickles, which are read without running them.
 
-Pickles of plain data and nothing else: reading one runs nothing of what is in it.
-
 A pickle is a program, and `pickle.load` calls whatever it names. The way out is the one of Python's documentation
 ("Restricting Globals"): names are looked up by us. The few by which numpy stores arrays are known here, and even they
 stand for objects of our own that check every part, so a file can neither reach numpy's `dtype` and `ndarray` nor
@@ -176,7 +174,7 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 def _plain(value: object, depth: int, done: dict[int, object]) -> object:
-    """The same value with arrays in place of what stands for them; `done` keeps shared parts from being done again."""
+    """Give a value with arrays in place of what stands for them; `done` keeps shared parts from being done again."""
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return value
     if id(value) not in done:
@@ -206,7 +204,7 @@ def _plain_container(value: object, depth: int, done: dict[int, object]) -> obje
 
 
 def _shown(text: str) -> str:
-    """On one line, and short, whatever a hostile file wrote."""
+    """Show a value on one line, and short, whatever a hostile file wrote."""
     return ascii(text[:80])
 
 
@@ -273,7 +271,7 @@ def write_episode(folder: Path | str, episode: RavensEpisode) -> None:
 
 
 def _raw(episode: RavensEpisode) -> dict[str, object]:
-    """By field, as Ravens' own code stores it."""
+    """Give an episode by field, as Ravens' own code stores it."""
     actions = [
         {"pose0": tuple(map(np.array, action.pose0)), "pose1": tuple(map(np.array, action.pose1))}
         for action in episode.actions

@@ -13,9 +13,8 @@ from baggie.robot.arm import CLEAR_Z_M, ArmInfo
 from baggie.robot.franka.models import HOME, PARK
 from baggie.robot.kinematics import CONTROL_PERIOD_S, Kinematics, minimum_jerk
 from baggie.robot.primitives import Handling
-from baggie.sim.arm_world import ArmWorld
+from baggie.sim.arm_world import MOVE_FORCE_N, ArmWorld, Fingers, Suction
 from baggie.sim.scene import TIMESTEP_S, Tool, arm_spec
-from baggie.sim.tools import MOVE_FORCE_N, Fingers, Suction
 from baggie.sim.world import PERIOD_S, World
 
 # FR3 joint velocity limits, rad/s (Franka's data sheet), of which motions use at most 80%.

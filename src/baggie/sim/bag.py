@@ -1,7 +1,4 @@
-"""The bean bag: a soft pillow as a MuJoCo flex.
-
-One bag in the running simulation: where its points are, and how to lay it somewhere.
-"""
+"""The bean bag: a soft pillow as a MuJoCo flex, and its body in a running simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
-from baggie.sim.things import Pose, paint
+from baggie.sim.objects import Pose, paint
 from baggie.types import Image
 
 if TYPE_CHECKING:

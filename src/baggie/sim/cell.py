@@ -1,10 +1,6 @@
 """A cell: one concrete workcell, with its camera, lens, lights and table. `--cell C` draws one.
 
-Colours by hue, so that things can be told apart by it.
-
-Procedural textures: a table top with grain.
-
-Draws the light over a table: lamps, ambient light, exposure and colour cast.
+Colours are drawn by hue, so that things can be told apart by it; the table top is a procedural texture with grain.
 """
 
 from __future__ import annotations
@@ -35,7 +31,7 @@ RESERVED_APART = 35.0
 
 
 def hue_of(color: Color) -> float:
-    """Degrees."""
+    """Hue of an RGB colour, degrees."""
     return 360.0 * colorsys.rgb_to_hsv(*(value / 255 for value in color))[0]
 
 
@@ -101,7 +97,7 @@ HORIZONTAL_FOV = np.deg2rad(90.0)
 
 
 @dataclass(frozen=True)
-class Light:
+class Lamp:
     """A lamp: where it hangs, where it points, how bright it is."""
 
     position: tuple[float, float, float]
@@ -120,7 +116,7 @@ class Cell:
     camera_rotation: FloatArray
     """`(3, 3)`, `R_base_camera` with OpenCV's axes: x right, y down, z into the picture."""
     lens: Lens
-    lights: tuple[Light, ...]
+    lights: tuple[Lamp, ...]
     ambient: float
     table_color: tuple[int, int, int]
     table_grain: float
@@ -161,7 +157,7 @@ def draw_cell(number: int, picture_size: tuple[int, int] = PICTURE_SIZE) -> Cell
     position = np.array([rng.uniform(0.54, 0.66), rng.uniform(-0.12, 0.12), rng.uniform(0.76, 0.86)])
     aim = np.array([0.52 + rng.uniform(-0.03, 0.03), rng.uniform(-0.04, 0.04), 0.0])
     lights = tuple(
-        Light(
+        Lamp(
             position=(rng.uniform(-0.2, 1.2), side * rng.uniform(0.5, 1.2), rng.uniform(1.6, 2.2)),
             direction=(rng.uniform(-0.2, 0.2), -side * rng.uniform(0.2, 0.5), -1.0),
             diffuse=rng.uniform(0.3, 0.45),
@@ -203,7 +199,7 @@ _SPOT_M = 0.15  # how far from the table's middle a lamp may point
 
 @dataclass(frozen=True)
 class LightRange:
-    """Between what the light is drawn; lengths in metres."""
+    """Ranges from which the light is drawn; lengths in metres."""
 
     lamps: tuple[int, int]
     height_m: tuple[float, float]
@@ -244,7 +240,7 @@ def draw_light(cell: Cell, light: LightRange, rng: np.random.Generator) -> tuple
         diffuse = (brightness - ambient) * share / -direction[2]
         x, y, z = position.tolist()
         to_x, to_y, to_z = direction.tolist()
-        lamps.append(Light((x, y, z), (to_x, to_y, to_z), float(diffuse), shadow=number == 0))
+        lamps.append(Lamp((x, y, z), (to_x, to_y, to_z), float(diffuse), shadow=number == 0))
         side = -side
     cast = rng.choice([-1.0, 1.0]) * rng.uniform(*light.cast)
     exposure = Exposure(float(rng.uniform(*light.gain)), (float(1 + cast), 1.0, float(1 - cast)))

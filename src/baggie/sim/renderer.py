@@ -1,7 +1,4 @@
-"""Pictures of the world: what the workcell's camera records, and a film of the arm at work.
-
-Cameras with depth in the simulated world: what they see of the table, the arm left out.
-"""
+"""Renderers of the world: the workcell's camera, cameras with depth that leave the arm out, a film of the arm."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ DETAILED_GROUP, HULL_GROUP = 2, 3  # the geom groups of `fr3.xml`
 HIDDEN_GROUP = 5  # which no renderer draws
 
 
-class Scene(Protocol):
+class RenderedWorld(Protocol):
     """What a camera looks at: an `ArmWorld`, or a copy of one."""
 
     model: mujoco.MjModel
@@ -40,7 +37,7 @@ class Scene(Protocol):
 class OffScreen:
     """MuJoCo's renderer for a world, opened with the first picture: a process that takes none may be forked."""
 
-    def __init__(self, world: Scene, size: tuple[int, int], samples: int = 0) -> None:
+    def __init__(self, world: RenderedWorld, size: tuple[int, int], samples: int = 0) -> None:
         """`size`: `(width, height)` of all pictures, pixels; `samples` of each, which smooth edges.
 
         Raises `BaggieError` where nothing can render off screen.
@@ -50,7 +47,7 @@ class OffScreen:
         self._opened: mujoco.Renderer | None = None
 
     def renderer(self) -> mujoco.Renderer:
-        """It, with all that was printed in the world since. Raises `BaggieError` in a fork of who has rendered."""
+        """MuJoCo's renderer with all that was printed since. Raises `BaggieError` in a fork of who has rendered."""
         if self._opened is None:
             self._opened = self._open()
             self._copied = dict(self._world.printed)
@@ -85,7 +82,7 @@ class OffScreen:
 class CameraRenderer:
     """The overhead colour and depth camera: ideal rendering, then the lens, then the sensor."""
 
-    def __init__(self, world: Scene) -> None:
+    def __init__(self, world: RenderedWorld) -> None:
         """Raises `BaggieError` where nothing can render off screen."""
         self._world = world
         self._lens = world.cell.lens
@@ -119,7 +116,7 @@ class CameraRenderer:
 
     @contextmanager
     def _arm_simplified(self) -> Iterator[None]:
-        """Within: what is out of the picture is drawn as the hull that casts its shadow, not as 240,000 triangles."""
+        """Draw what is out of the picture as the hull that casts its shadow, not as 240,000 triangles."""
         groups = self._world.model.geom_group
         usual = groups.copy()
         seen = self._geoms_in_view()

@@ -1,7 +1,4 @@
-"""Builds the MuJoCo model: the Franka arm, a table and all that lies on it, printed sheets, lamps and camera.
-
-A suction cup on a stem, in the place of the arm's hand.
-"""
+"""Build the MuJoCo model: the arm with its hand or a suction cup, a table and all that lies on it, lamps and camera."""
 
 from __future__ import annotations
 
@@ -14,11 +11,10 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
-from baggie.options.choices import CARD_COLOR
+from baggie.options.values import CARD_COLOR
 from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
-from baggie.sim.blocks import CUP_RADIUS_M
 from baggie.sim.cell import Cell, table_top
-from baggie.sim.clutter import Distractor, distractor_xml
+from baggie.sim.objects import CUP_RADIUS_M, SceneObject, paint
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -28,7 +24,7 @@ from baggie.sim.printed import (
     SHEET_TEXTURE,
     add_printed,
 )
-from baggie.sim.things import Thing, paint
+from baggie.sim.variety import Distractor, distractor_xml
 from baggie.types import Intrinsics
 from baggie.vision.height_map import DepthCamera
 
@@ -168,7 +164,7 @@ _WORLD = """
 
 def build_model(
     cell: Cell,
-    things: Sequence[Thing],
+    things: Sequence[SceneObject],
     tool: Tool = "hand",
     distractors: Sequence[Distractor] = (),
     cameras: Sequence[DepthCamera] = (),
@@ -318,7 +314,7 @@ def _add_depth_cameras(scene: mujoco.MjSpec, cameras: Sequence[DepthCamera]) -> 
 
 
 def _check_lens(camera: DepthCamera) -> None:
-    """Square pixels, the principal point in the picture's middle, no distortion."""
+    """Raise unless the lens has square pixels, the principal point in the picture's middle, no distortion."""
     lens: Intrinsics = camera.intrinsics
     focal_length = lens.matrix[0, 0]
     ideal = [[focal_length, 0, (lens.width - 1) / 2], [0, focal_length, (lens.height - 1) / 2], [0, 0, 1]]

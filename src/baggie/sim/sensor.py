@@ -1,7 +1,4 @@
-"""What a camera's sensor does to light: exposure, white balance, vignetting, noise, 8 bits.
-
-A lens that bends the picture, as OpenCV's model has it.
-"""
+"""A camera's lens, OpenCV's model of it, and its sensor: exposure, white balance, vignetting, noise, 8 bits."""
 
 from __future__ import annotations
 
@@ -99,7 +96,7 @@ class Exposure:
         return cls(float(rng.uniform(0.88, 1.12)), (float(cast[0]), float(cast[1]), float(cast[2])))
 
     def times(self, other: Exposure) -> Exposure:
-        """Both together."""
+        """Multiply two exposures."""
         (a, b, c), (d, e, f) = self.cast, other.cast
         return Exposure(self.gain * other.gain, (a * d, b * e, c * f))
 

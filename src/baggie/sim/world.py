@@ -1,6 +1,6 @@
-"""The running simulation of the arm and what lies on the table: any number of things, soft and rigid.
+"""The running simulation of the arm and what lies on the table: any number of objects, soft and rigid.
 
-With what is printed and laid there, a firm block for an arm to feel, and a table top that can be knocked.
+There are printed sheets, a firm block for an arm to feel, and a table top that can be knocked, too.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
-from baggie.sim.arm_world import ArmWorld, upward_touch
+from baggie.sim.arm_world import ArmWorld, Suction, upward_touch
 from baggie.sim.bag import Bag
-from baggie.sim.blocks import Block, Fixture, RigidBody, reshape
 from baggie.sim.cell import Cell
-from baggie.sim.clutter import Distractor
+from baggie.sim.objects import Block, Body, Fixture, Pose, RigidBody, SceneObject, paint, reshape
 from baggie.sim.printed import (
     PLATE,
     PLATE_SIZE_M,
@@ -39,8 +38,7 @@ from baggie.sim.scene import (
     Tool,
     build_model,
 )
-from baggie.sim.things import Body, Pose, Thing, paint
-from baggie.sim.tools import Suction
+from baggie.sim.variety import Distractor
 from baggie.vision.height_map import DepthCamera
 from baggie.vision.targets import Target
 
@@ -58,7 +56,7 @@ class World(ArmWorld):
     def __init__(
         self,
         cell: Cell,
-        things: Sequence[Thing] = (Bag(),),
+        things: Sequence[SceneObject] = (Bag(),),
         tool: Tool = "hand",
         distractors: Sequence[Distractor] = (),
         cameras: Sequence[DepthCamera] = (),
@@ -120,7 +118,7 @@ class World(ArmWorld):
 
     @property
     def block(self) -> FirmBlock:
-        """For an arm with a hand to feel; away until it is laid. Raises `BaggieError` where the arm has no hand."""
+        """The firm block for a hand to feel; away until it is laid. Raises `BaggieError` where the arm has no hand."""
         if self._block is None:
             raise BaggieError("expected an arm with a hand, to feel a firm block, got one with a suction cup")
         return self._block
@@ -152,7 +150,7 @@ class World(ArmWorld):
         mujoco.mj_forward(self.model, self.data)
         self.advance(max((body.settle_s for body in self.bodies.values()), default=0.0))
 
-    def reshape(self, things: Iterable[Thing]) -> None:
+    def reshape(self, things: Iterable[SceneObject]) -> None:
         """Give what has the names of these rigid things their sizes, weights and colours; `reset` has to follow.
 
         Raises `BaggieError` where nothing has this name, or what is of several boxes is not of those it was built of.
@@ -181,7 +179,7 @@ class World(ArmWorld):
         return self.bodies[name].pose()
 
     def poses(self) -> dict[str, FloatArray]:
-        """By name, `T_base_body` `(4, 4)` of everything now."""
+        """Poses `T_base_body` `(4, 4)` of all objects now, by name."""
         return {name: body.pose() for name, body in self.bodies.items()}
 
     def planar_pose(self, name: str) -> PlanarPose:
@@ -289,12 +287,12 @@ class FirmBlock:
         """Of its top above the table; 0 while it is away."""
 
     def lay(self, pose: PlanarPose, height_m: float) -> None:
-        """Its middle at this place, its top at this height; its sides stay along x and y."""
+        """Lay the block with its middle at this place, its top at this height, metres; its sides stay along x and y."""
         self.pose, self.height_m = pose, height_m
         self._put((pose.x, pose.y, height_m - BLOCK_HALF_M[2]))
 
     def take_away(self) -> None:
-        """Off the table."""
+        """Take the block off the table."""
         self.pose, self.height_m = None, 0.0
         self._put(BLOCK_AWAY)
 

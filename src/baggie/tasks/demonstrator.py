@@ -12,7 +12,7 @@ import numpy as np
 
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.seeds import first_fit
-from baggie.sim.blocks import CUP_RADIUS_M, Block, Fixture, distance_m, extent_m, reach_m
+from baggie.sim.objects import CUP_RADIUS_M, Block, Fixture, distance_m, extent_m, reach_m
 from baggie.tasks.conditions import ANGLE_RAD, Condition, State, Tool, carry, remaining
 from baggie.tasks.layout import find_room
 from baggie.tasks.task import Scene

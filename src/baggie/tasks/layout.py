@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.seeds import first_fit
-from baggie.sim.blocks import Color
+from baggie.sim.objects import Color
 
 COLORS: dict[str, Color] = {
     "blue": (78, 121, 167),

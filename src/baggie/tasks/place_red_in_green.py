@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from baggie.geometry import PlanarPose
-from baggie.sim.blocks import Block, Color, Fixture, Part
+from baggie.sim.objects import Block, Color, Fixture, Part
 from baggie.tasks.conditions import InSlots, Slot
 from baggie.tasks.layout import COLORS, left_to_right, radius_m, scatter
 from baggie.tasks.task import Scene, Setting, Task

@@ -10,11 +10,10 @@ from typing import Literal
 import numpy as np
 
 from baggie.geometry import PlanarPose, Rectangle
-from baggie.options.choices import Scenery
+from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
-from baggie.sim.blocks import Block, Fixture
 from baggie.sim.cell import Cell, draw_cell
-from baggie.sim.things import Thing
+from baggie.sim.objects import Block, Fixture, SceneObject
 from baggie.sim.variety import Variety
 from baggie.tasks.conditions import AtGoal, Condition, Tool
 
@@ -23,7 +22,7 @@ from baggie.tasks.conditions import AtGoal, Condition, Tool
 class Setting:
     """What a scene is drawn for."""
 
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """The task's own, or what a workcell's file says of them."""
     given_cell: Cell | None = None
     """The workcell as it is from day to day; None for cell 0."""
@@ -44,7 +43,7 @@ class Setting:
 class Scene:
     """One drawing of a task."""
 
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """Those that play a part, as they are in this scene."""
     poses: Mapping[str, PlanarPose]
     """Where each of them is at first, by name; robot base frame."""
@@ -54,7 +53,7 @@ class Scene:
     """Table, light and distractors; None for the cell's own."""
 
     @property
-    def carried(self) -> Thing:
+    def carried(self) -> SceneObject:
         """What goes to the goal, where a policy is given one: the first thing that can be moved."""
         return next(thing for thing in self.things if thing.movable)
 
@@ -89,7 +88,7 @@ class Task:
     """What the arm carries."""
     view: Literal["camera", "height-map"]
     """What a policy sees: the overhead camera's picture, or the table from straight above with heights."""
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     """All that any scene needs; a scene may give them another size and colour."""
     draw_scene: Callable[[np.random.Generator, Setting], Scene]
     """Draws one without collisions, where the camera sees it and the arm reaches, by this stream and setting alone."""

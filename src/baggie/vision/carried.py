@@ -1,8 +1,8 @@
 """What one step of a demonstration carried, told from the height maps before and after it.
 
 Where a map is lower afterwards, something stood; where it is higher, that came to lie. This tells a thing from what it
-touched, and its middle from the point at which somebody happened to pick it.
-Its first half tells apart what stands on a table, by the table's height map.
+touched, and its middle from the point at which somebody happened to pick it. What stands on a table is told apart by
+its height map.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MARK, _MARKED = 40.0, 0.05
 
 
 @dataclass(frozen=True)
-class Things:
+class ObjectMap:
     """What stands on a table, numbered from 1; 0 is the table."""
 
     footprints: NDArray[np.int32]
@@ -42,8 +42,8 @@ class Things:
     count: int
 
     @classmethod
-    def on(cls, height: NDArray[np.float32]) -> Things:
-        """By what is higher than most of a height map `(H, W)` metres, and hangs together."""
+    def on(cls, height: NDArray[np.float32]) -> ObjectMap:
+        """Number the objects by what is higher than most of a height map `(H, W)` metres, and hangs together."""
         high = height > np.median(height[::4, ::4]) + _LOWEST_M
         _, parts, stats, _ = cv2.connectedComponentsWithStats(high.astype(np.uint8))
         keep = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_THING_PX
@@ -90,7 +90,7 @@ class Things:
         return np.asarray(around + (self.footprints == number), np.uint8)
 
 
-def place_belongs_to(things: Things, color: Image, lies: NDArray[np.bool_]) -> int | None:
+def place_belongs_to(things: ObjectMap, color: Image, lies: NDArray[np.bool_]) -> int | None:
     """What a place moves with at which a thing comes to lie, on `lies` `(H, W)`: a thing, or the table, which is 0.
 
     What it comes to lie on or beside, what encloses it; the table where something is marked on it there, in the colours

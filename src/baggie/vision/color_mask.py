@@ -1,9 +1,7 @@
-"""Find one evenly coloured object in a picture by its colour: the eye of the published system.
+"""Find one evenly coloured object in a picture by its colour, as the published system does.
 
 One pass with the colour as given finds the object (as `hue_likeness` says); a second, with the colour it has in
 *this* light, draws its outline half way to its surroundings.
-
-How like a colour the pixels of a picture are, whatever the exposure, and the blobs they form.
 
 A pixel's colour is reduced to the two numbers that do not change with exposure, hue and saturation, as the
 plane vector `s = saturation * exp(i hue)`. Its likeness to a reference is the part of `s` along the

@@ -1,4 +1,4 @@
-"""Corners of printed boards: where they really are, to a few hundredths of a pixel, and how a board that sags is bent.
+"""Corners of printed boards refined to a few hundredths of a pixel, and how a board that sags is bent.
 
 Around a corner where two black and two white squares meet, the slightly blurred picture is a saddle, and its saddle
 point is the corner (Lucchese & Mitra, "Using saddle points for subpixel feature detection in camera calibration

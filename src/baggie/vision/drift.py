@@ -1,13 +1,12 @@
-"""Notices from pictures alone that the camera or the table was bumped: the still background is no longer in its place.
+"""Drift of the camera or the table, noticed from pictures alone: the still background is no longer in its place.
 
 Landmarks are small tiles of a reference picture with something to see in them: wood grain, edges, cables, print. Bags
 and the arm move between pictures, too, but cover the lesser part of them.
 
-Lays one picture over another: the homography between them, by all pixels of many small tiles together.
-
-Inverse compositional alignment (Baker & Matthews, "Lucas-Kanade 20 Years On", 2004) with the tiles weighted by Tukey's
-biweight of their misfit: where something else has come into the picture, a whole tile stops to count. Fitted together,
-tiles of wood grain that say how far they moved across the grain and nothing along it make up for one another.
+One picture is laid over another by the homography between all pixels of many small tiles together: inverse
+compositional alignment (Baker & Matthews, "Lucas-Kanade 20 Years On", 2004) with the tiles weighted by Tukey's biweight
+of their misfit: where something else has come into the picture, a whole tile stops to count. Fitted together, tiles of
+wood grain that say how far they moved across the grain and nothing along it make up for one another.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ most) shows nothing, nor does one that changes by less than 0.8 of the noise: no
 _STEPS, _ENOUGH_PX = 15, 0.02
 _TUKEY = 3.0
 
-Relief = NDArray[np.float32]
+Contrast = NDArray[np.float32]
 """`(h, w)`: brightness relative to the surroundings', less 1."""
 
 
-def relief(image: Image, width: int) -> Relief:
+def local_contrast(image: Image, width: int) -> Contrast:
     """A picture `(H, W, 3)` or `(H, W)` made about `width` wide, with exposure, colour cast and shading taken out."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     shrink = max(round(grey.shape[1] / width), 1)
@@ -59,8 +58,8 @@ class Alignment:
 class Template:
     """The distinct tiles of a picture, ready to be laid over others."""
 
-    def __init__(self, picture: Relief) -> None:
-        """`picture` `(h, w)`, as `relief` makes it."""
+    def __init__(self, picture: Contrast) -> None:
+        """`picture` `(h, w)`, as `local_contrast` makes it."""
         height, width = picture.shape
         self.size = (width, height)
         self._columns, self._rows = (max((side - 2 * _MARGIN_PX) // TILE_PX, 0) for side in self.size)
@@ -87,7 +86,7 @@ class Template:
         self._hessians = (self._descent @ np.swapaxes(self._descent, 1, 2)).astype(float)
         self._template = self._tiles(picture[..., None])[..., 0]
 
-    def align(self, picture: Relief, start: FloatArray | None = None) -> Alignment:
+    def align(self, picture: Contrast, start: FloatArray | None = None) -> Alignment:
         """The motion `(3, 3)` that lays the template over a picture of the same size, sought from `start`."""
         to_scaled = np.linalg.inv(self._scaled)
         motion = np.eye(3) if start is None else to_scaled @ start @ self._scaled
@@ -113,7 +112,7 @@ class Template:
         """`(N,)`: how far a motion takes the tiles' centres."""
         return np.asarray(np.linalg.norm(apply_homography(motion, self.centers) - self.centers, axis=1))
 
-    def _over(self, picture: Relief, motion: FloatArray) -> NDArray[np.float32]:
+    def _over(self, picture: Contrast, motion: FloatArray) -> NDArray[np.float32]:
         """`(N, TILE_PX²)`: what of a picture lies over each tile; not a number where it ends."""
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         laid = cv2.warpPerspective(picture, motion, self.size, flags=flags, borderValue=float("nan"))
@@ -132,7 +131,7 @@ class Template:
         return np.ascontiguousarray(parts.reshape(rows * columns, TILE_PX**2, channels)[self._distinct])
 
 
-def _noise(picture: Relief) -> float:
+def _noise(picture: Contrast) -> float:
     """Standard deviation of what changes from pixel to pixel without any pattern (Immerkær, "Fast Noise Variance
     Estimation", 1996; by the median, which a textured part of the picture does not spoil).
     """
@@ -174,8 +173,8 @@ class Landmarks:
 
     @classmethod
     def find(cls, reference: Image) -> Landmarks:
-        """All distinct tiles of a picture `(H, W, 3)`. Raises `BaggieError` where there are too few."""
-        templates = [Template(relief(reference, width)) for width in _WIDTHS_PX]
+        """Find all distinct tiles of a picture `(H, W, 3)`. Raises `BaggieError` where there are too few."""
+        templates = [Template(local_contrast(reference, width)) for width in _WIDTHS_PX]
         landmarks = cls(templates, (reference.shape[1], reference.shape[0]))
         if len(landmarks.points) < MIN_LANDMARKS:
             raise BaggieError(
@@ -219,19 +218,19 @@ class Landmarks:
     def _align(self, picture: Image) -> Alignment:
         """The alignment at the finest size: from where the camera stood, or else from coarse to fine."""
         fine = self._templates[0]
-        seen = relief(picture, _WIDTHS_PX[0])
+        seen = local_contrast(picture, _WIDTHS_PX[0])
         found = fine.align(seen)
         if (found.correlation > _SAME).mean() >= _MOST:
             return found
         motion = np.eye(3)
         for template, width in zip(self._templates[:0:-1], _WIDTHS_PX[:0:-1], strict=True):
             start = _resized(motion, template.size[0] / fine.size[0])
-            coarse = template.align(relief(picture, width), start)
+            coarse = template.align(local_contrast(picture, width), start)
             motion = _resized(coarse.motion, fine.size[0] / template.size[0])
         return max(found, fine.align(seen, motion), key=lambda one: float((one.correlation > _SAME).mean()))
 
 
 def _resized(motion: FloatArray, grow: float) -> FloatArray:
-    """The same motion `(3, 3)` in pictures `grow` times as large (pixel centres at integers)."""
+    """Convert a motion `(3, 3)` to pictures `grow` times as large (pixel centres at integers)."""
     resize = np.array([[grow, 0.0, (grow - 1) / 2], [0.0, grow, (grow - 1) / 2], [0.0, 0.0, 1.0]])
     return resize @ motion @ np.linalg.inv(resize)

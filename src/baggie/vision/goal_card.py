@@ -1,9 +1,7 @@
-"""Find the goal card, an evenly coloured rectangle that lies on the table, to a small part of a pixel.
+"""Find the goal card, an evenly coloured rectangle on the table, and its sides to a small part of a pixel.
 
 Its colour says where it may be (`color_mask.py`), its four straight edges where it is. Something that covers less
-than half of a side spoils nothing.
-
-The sides of an evenly coloured quadrilateral, straight or bent by a lens, to a small part of a pixel.
+than half of a side spoils nothing; a lens may bend the sides.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.options.choices import CARD_COLOR
+from baggie.options.values import CARD_COLOR
 from baggie.types import Image
 from baggie.vision.color_mask import (
     FIRST_THRESHOLD,

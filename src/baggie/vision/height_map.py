@@ -1,19 +1,15 @@
-"""Orthographic height maps: the table as seen from straight above, whatever cameras looked at it from where.
+"""Orthographic height maps of the table, fused from colour cameras with depth whose poses are known.
 
 Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020, on spatially
 consistent visual representations: in such a picture an object looks the same wherever it lies, and moving it is moving
 its pixels.
 
-Which pixel of a height map a small hole takes after.
-
-A hole is small where a closing of what was seen covers it; large unseen areas keep their outline. Most holes lie
-between the points of one surface that are further apart than pixels, and the nearest seen pixel is right. Others are
-shadows: floor beside a box, which the box hides from every camera. The nearest pixel may then be the box's, and taking
-it would make the box wider. But a box there would hide what is behind it: where a camera sees past the point that a
-hole would get, the point is not there (space carving: Kutulakos & Seitz, "A Theory of Shape by Space Carving", 2000),
-and the lowest pixel near by is taken instead, for what is hidden lies behind what hides it.
-
-A colour camera with depth that knows where it stands, and the three of the Ravens benchmark.
+Small holes are filled. A hole is small where a closing of what was seen covers it; large unseen areas keep their
+outline. Most holes lie between the points of one surface that are further apart than pixels, and the nearest seen pixel
+is right. Others are shadows: floor beside a box, which the box hides from every camera. The nearest pixel may then be
+the box's, and taking it would make the box wider. But a box there would hide what is behind it: where a camera sees
+past the point that a hole would get, the point is not there (space carving: Kutulakos & Seitz, "A Theory of Shape by
+Space Carving", 2000), and the lowest pixel near by is taken instead, for what is hidden lies behind what hides it.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
-from baggie.vision.targets import Charuco, Chessboard, Marker, Target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def pattern(target: Target) -> Pattern:
             )
             right, bottom = target.columns * target.square_m, target.rows * target.square_m
             return Pattern(squares, np.array([-target.square_m, -target.square_m, right, bottom]))
-        case Marker():
+        case ArucoMarker():
             dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
             half = target.size_m / 2
             bounds = np.array([-half, -half, half, half])

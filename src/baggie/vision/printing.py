@@ -21,9 +21,9 @@ from matplotlib.path import Path as Outline
 from baggie.errors import BaggieError, UsageError
 from baggie.files import write_bytes
 from baggie.geometry import FloatArray
-from baggie.options.choices import CARD_COLOR, DrawnStyle
+from baggie.options.values import CARD_COLOR, DrawnStyle
 from baggie.vision.pattern import pattern
-from baggie.vision.targets import Charuco, Chessboard, Marker, Target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0)}
 """Width and height upright, mm (ISO 216)."""
@@ -203,7 +203,7 @@ def _in_words(target: Target) -> str:
             )
         case Chessboard():
             return f"{target.columns} x {target.rows} inner corners, squares of {1000 * target.square_m:g} mm"
-        case Marker():
+        case ArucoMarker():
             return f"black square of {1000 * target.size_m:g} mm, marker {target.number}"
     return target.spec
 

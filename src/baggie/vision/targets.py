@@ -28,7 +28,7 @@ _MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
 
 
 @dataclass(frozen=True)
-class Seen:
+class TargetDetection:
     """Points of a target found in one picture."""
 
     ids: NDArray[np.int64]
@@ -57,8 +57,8 @@ class Target(Protocol):
         """How it is bent: its points are where that puts them."""
         ...
 
-    def detect(self, image: Image) -> Seen | None:
-        """Its points in a picture `(H, W, 3)`; None where too few are found."""
+    def detect(self, image: Image) -> TargetDetection | None:
+        """Find its points in a picture `(H, W, 3)`; None where too few are found."""
         ...
 
     def why_not(self, image: Image) -> str:
@@ -113,13 +113,13 @@ class Charuco:
         flat = np.asarray(self.board.getChessboardCorners(), float)
         return self.sag.bend(flat, flat)
 
-    def detect(self, image: Image) -> Seen | None:
-        """Its inner corners in a picture, whichever of the two layouts was printed."""
+    def detect(self, image: Image) -> TargetDetection | None:
+        """Find its inner corners in a picture, whichever of the two layouts was printed."""
         found = self._detect_as_laid_out(image)
         other = None if found else replace(self, legacy=not self.legacy)._detect_as_laid_out(image)
         return found or other
 
-    def _detect_as_laid_out(self, image: Image) -> Seen | None:
+    def _detect_as_laid_out(self, image: Image) -> TargetDetection | None:
         grey = _grey(image)
         parameters = cv2.aruco.CharucoParameters()
         parameters.tryRefineMarkers = (
@@ -132,7 +132,9 @@ class Charuco:
         pixels = np.asarray(corners, float).reshape(-1, 2)
         # The window's own corner, too, must end before a marker's, which would draw it towards the board's middle.
         clear = (self.square_m - self.marker_m) / 2 / self.square_m
-        return Seen(index, refine_saddles(grey, pixels, _radius_px(pixels, clear)), self.points[index])
+        return TargetDetection(
+            index, refine_saddles(grey, pixels, _radius_px(pixels, clear)), self.points[index]
+        )
 
     def why_not(self, image: Image) -> str:
         """Markers of another dictionary, a mirrored picture, too few corners, or nothing at all."""
@@ -170,8 +172,8 @@ class Chessboard:
         v, u = np.mgrid[: self.rows, : self.columns]
         return np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3) * self.square_m
 
-    def detect(self, image: Image) -> Seen | None:
-        """All its inner corners, or None."""
+    def detect(self, image: Image) -> TargetDetection | None:
+        """Find all its inner corners, or None."""
         grey = _grey(image)
         for board in (self, Chessboard(self.columns - 1, self.rows - 1, self.square_m)):
             if min(board.columns, board.rows) < 2:
@@ -191,7 +193,7 @@ class Chessboard:
                 pixels = np.asarray(corners, float).reshape(-1, 2)
                 pixels = refine_saddles(grey, pixels, _radius_px(pixels, 0.5))
                 points = self.sag.bend(board._flat, self._flat)
-                return Seen(np.arange(len(pixels), dtype=np.int64), pixels, points)
+                return TargetDetection(np.arange(len(pixels), dtype=np.int64), pixels, points)
         return None
 
     def why_not(self, image: Image) -> str:
@@ -200,7 +202,7 @@ class Chessboard:
 
 
 @dataclass(frozen=True)
-class Marker:
+class ArucoMarker:
     """One ArUco marker."""
 
     dictionary: str
@@ -224,8 +226,8 @@ class Marker:
         """None: four corners say nothing of it."""
         return FLAT
 
-    def detect(self, image: Image) -> Seen | None:
-        """Its four corners in a picture."""
+    def detect(self, image: Image) -> TargetDetection | None:
+        """Find its four corners in a picture."""
         corners, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
         matches = [] if ids is None else np.flatnonzero(ids.ravel() == self.number)
         if len(matches) != 1:
@@ -235,7 +237,7 @@ class Marker:
         better = refine_bent_sides(image, found, cell)
         if better is not None and np.linalg.norm(better - found, axis=1).max() < MAX_MOVE_PX:
             found = better
-        return Seen(np.arange(4, dtype=np.int64), found, self.points)
+        return TargetDetection(np.arange(4, dtype=np.int64), found, self.points)
 
     def why_not(self, image: Image) -> str:
         """Seen twice, another marker or dictionary, a mirrored picture, or nothing at all."""
@@ -274,7 +276,7 @@ def parse_target(spec: str) -> Target:
             _check(0 < chessboard.square_m < 1, "sizes in metres, squares between 0 and 1 m")
             return chessboard
         if kind == "aruco" and len(words) == 3:
-            marker = Marker(_dictionary_name(words[0]), int(words[1]), float(words[2]))
+            marker = ArucoMarker(_dictionary_name(words[0]), int(words[1]), float(words[2]))
             count = len(_dictionary(marker.dictionary).bytesList)
             _check(0 <= marker.number < count, f"a number below {count} in {marker.dictionary}")
             _check(0 < marker.size_m < 1, "sizes in metres, between 0 and 1 m")

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.robot_to_world import CameraToRobot
+from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cameras.camera import Camera, CameraSettings
 from baggie.cameras.live import LiveCamera
 from baggie.cameras.opening import open_camera

@@ -11,16 +11,16 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
-from baggie.options.choices import USUAL_TASK, Scenery
+from baggie.options.values import USUAL_TASK, Scenery
 from baggie.registry import TASKS
 from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
 from baggie.sim.bag import Bag
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
+from baggie.sim.objects import SceneObject
 from baggie.sim.renderer import Film
 from baggie.sim.sensor import Exposure
-from baggie.sim.things import Thing
 from baggie.sim.variety import lay_bags
 from baggie.sim.world import World
 from baggie.tasks.conditions import State
@@ -55,7 +55,7 @@ class SimulatedWorkcell(Workcell):
         task: Task | None = None,
         *,
         settings: WorkcellSettings | None = None,
-        things: Sequence[Thing] | None = None,
+        things: Sequence[SceneObject] | None = None,
         scenery: Scenery = "plain",
         picture_size: tuple[int, int] = PICTURE_SIZE,
         pictures: bool = True,
@@ -263,7 +263,7 @@ class SimulatedWorkcell(Workcell):
             )
 
 
-def _settings(task: Task, things: Sequence[Thing], cell: int) -> WorkcellSettings:
+def _settings(task: Task, things: Sequence[SceneObject], cell: int) -> WorkcellSettings:
     """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
     if task.tool == "hand":
         settings = WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)

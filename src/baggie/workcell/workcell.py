@@ -21,7 +21,7 @@ import numpy as np
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.calibration.world.robot_to_world import CameraToRobot
+from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError, BaggieWarning, BumpedError, LimitError, ReachError, UnsureError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle

@@ -24,7 +24,7 @@ from baggie.cameras.camera import CameraSettings
 from baggie.entries import Metres, Section, Words, explain
 from baggie.errors import BaggieError
 from baggie.files import parse_yaml, read_text
-from baggie.options.ranges import Color, Seed
+from baggie.options.values import Color, Seed
 from baggie.robot.arm import ArmInfo
 from baggie.robot.franka.models import ModelName
 from baggie.robot.handling_rules import SIMULATED_HANDLING, Handled, Thing, contradiction, handled

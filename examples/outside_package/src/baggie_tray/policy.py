@@ -12,7 +12,7 @@ import yaml
 import baggie
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
-from baggie.types import Goal, Observation, PickPlace, Plan, seen
+from baggie.types import Goal, Observation, PickPlace, Plan, require_observation
 
 
 class HighestPolicy(baggie.Policy):
@@ -26,7 +26,7 @@ class HighestPolicy(baggie.Policy):
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """From the table as seen from straight above. Raises `BaggieError` for a picture without heights."""
-        table = seen(observation)
+        table = require_observation(observation)
         if table.height is None or table.grid is None:
             raise BaggieError(
                 "expected a picture with heights, got one without; take a task seen from straight above"

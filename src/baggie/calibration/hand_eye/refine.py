@@ -1,7 +1,5 @@
 """Hand-eye calibration, one method at a time: closed forms, and least squares on poses or on pictures.
 
-From poses: robust least squares, with the noise of rotation and translation estimated.
-
 Unknown are `T_mount_camera` and `T_stand_board` together (Dornaika & Horaud, "Simultaneous robot-world and hand-eye
 calibration", 1998). A view's error is how far its own `T_stand_board` is from the common one: a rotation and a
 translation of the board's origin. Their scales are not known beforehand and decide how they weigh against each other;
@@ -15,11 +13,10 @@ The mount carries the camera, the stand carries the board, so that for every vie
 with the same two unknown transforms. For a camera on the hand the mount is the hand and the stand the base; for a
 fixed camera the mount is the base and the stand the hand.
 
-Hand-eye calibration from pictures: the board's corners as they must appear, against where they were seen.
-
-Only `T_mount_camera` and `T_stand_board` are unknown (Tabb & Ahmad Yousef, "Solving the robot-world hand-eye(s)
-calibration problem with iterative methods", 2017; Koide & Menegatti, "General hand-eye calibration based on
-reprojection error minimization", 2019), and corners far off count less (soft L1).
+From pictures, the errors are between the board's corners as they must appear and where they were seen (Tabb & Ahmad
+Yousef, "Solving the robot-world hand-eye(s) calibration problem with iterative methods", 2017; Koide & Menegatti,
+"General hand-eye calibration based on reprojection error minimization", 2019), and corners far off count less (soft
+L1).
 """
 
 from __future__ import annotations
@@ -37,7 +34,7 @@ from scipy.stats import chi2
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Intrinsics
-from baggie.vision.targets import Seen
+from baggie.vision.targets import TargetDetection
 
 MIN_VIEWS = 3
 """Two motions; fewer leave the translation along the one axis open."""
@@ -220,7 +217,7 @@ class Reprojected:
 
 
 def reproject(
-    start: Pair, stand_mount: FloatArray, seen: Sequence[Seen], intrinsics: Intrinsics
+    start: Pair, stand_mount: FloatArray, seen: Sequence[TargetDetection], intrinsics: Intrinsics
 ) -> Reprojected:
     """The best transforms near the given ones, for poses `(N, 4, 4)`, metres, and the board as seen from each."""
     view = np.repeat(np.arange(len(seen)), [len(board.pixels) for board in seen])

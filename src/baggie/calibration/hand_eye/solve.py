@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.calibration.files import Calibration, CameraIdentity
-from baggie.calibration.hand_eye.agree import Agreement, agree, lens_share
+from baggie.calibration.hand_eye.consensus import Agreement, agree, lens_share
 from baggie.calibration.hand_eye.refine import (
     CLOSED_FORMS,
     MIN_VIEWS,
@@ -101,7 +101,7 @@ class HandEye(Calibration):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "units": "m",
             **self.summary(),
@@ -127,7 +127,7 @@ class HandEye(Calibration):
 
 
 @dataclass(frozen=True)
-class Fit:
+class MethodFit:
     """What a method makes of some views."""
 
     pair: Pair
@@ -135,7 +135,7 @@ class Fit:
     """`(6, 6)` of `T_mount_camera`, where the method tells."""
 
 
-Solve = Callable[[NDArray[np.int64], Pair], Fit]
+Solve = Callable[[NDArray[np.int64], Pair], MethodFit]
 """From the views at these indices, starting near the pair."""
 
 
@@ -143,7 +143,7 @@ Solve = Callable[[NDArray[np.int64], Pair], Fit]
 class Candidate:
     """One method's result and what it is worth."""
 
-    fit: Fit
+    fit: MethodFit
     apart_mm: FloatArray
     """`(N,)`: where each view has the board, from where all have it on average."""
     left_out_mm: FloatArray
@@ -153,7 +153,7 @@ class Candidate:
     """`T_mount_camera` without each view; empty where there are too few."""
 
 
-def compare(agreed: Agreement) -> dict[str, Candidate]:
+def fit_all_methods(agreed: Agreement) -> dict[str, Candidate]:
     """The closed forms, and the refinements, each from the best of these starts, by name."""
     views = agreed.views
     everything = np.arange(len(views))
@@ -173,7 +173,7 @@ def compare(agreed: Agreement) -> dict[str, Candidate]:
     return candidates
 
 
-def uncertainty(fit: Fit, shape: FloatArray, left_out: tuple[FloatArray, ...]) -> UncertainTransform:
+def uncertainty(fit: MethodFit, shape: FloatArray, left_out: tuple[FloatArray, ...]) -> UncertainTransform:
     """The fit's `T_mount_camera` with its covariance.
 
     `shape` `(6, 6)` is what the fit's own Jacobian says. Its size is set by how much the fits without one view each
@@ -190,19 +190,19 @@ def uncertainty(fit: Fit, shape: FloatArray, left_out: tuple[FloatArray, ...]) -
     return UncertainTransform(fit.pair[0], size * shape)
 
 
-def _closed_form(views: HandEyeViews, method: str, which: NDArray[np.int64], start: Pair) -> Fit:
+def _closed_form(views: HandEyeViews, method: str, which: NDArray[np.int64], start: Pair) -> MethodFit:
     stand_mount, camera_board = views.T_stand_mount[which], views.T_camera_board[which]
     found = closed_form(method, stand_mount, camera_board)
-    return Fit((found, mean_board(found, stand_mount, camera_board)))
+    return MethodFit((found, mean_board(found, stand_mount, camera_board)))
 
 
 def _refinements(views: HandEyeViews) -> dict[str, Solve]:
     stand_mount, camera_board = views.T_stand_mount, views.T_camera_board
     seen, intrinsics = views.seen, views.intrinsics
 
-    def poses(noise: Noise, which: NDArray[np.int64], start: Pair) -> Fit:
+    def poses(noise: Noise, which: NDArray[np.int64], start: Pair) -> MethodFit:
         found = refine(start, stand_mount[which], camera_board[which], noise=noise)
-        return Fit(found.pair, found.covariance[:6, :6])
+        return MethodFit(found.pair, found.covariance[:6, :6])
 
     solves: dict[str, Solve] = {
         "poses": partial(poses, "alike"),
@@ -210,15 +210,15 @@ def _refinements(views: HandEyeViews) -> dict[str, Solve]:
     }
     if seen is not None and intrinsics is not None:
 
-        def corners(which: NDArray[np.int64], start: Pair) -> Fit:
+        def corners(which: NDArray[np.int64], start: Pair) -> MethodFit:
             found = reproject(start, stand_mount[which], [seen[i] for i in which], intrinsics)
-            return Fit(found.pair, found.covariance[:6, :6])
+            return MethodFit(found.pair, found.covariance[:6, :6])
 
         solves[REPROJECTION] = corners
     return solves
 
 
-def _judge(views: HandEyeViews, solve: Solve, fit: Fit) -> Candidate:
+def _judge(views: HandEyeViews, solve: Solve, fit: MethodFit) -> Candidate:
     apart = _apart_mm(views, fit.pair[0])
     if len(views) <= MIN_VIEWS:
         return Candidate(fit, apart, apart, ())
@@ -267,7 +267,7 @@ def solve_hand_eye(views: HandEyeViews, keep_all: bool = False) -> HandEye:
     """
     agreed = agree(views, keep_all)
     views = agreed.views
-    candidates = compare(agreed)
+    candidates = fit_all_methods(agreed)
     method = best_of(candidates)
     best = candidates[method]
     by_poses = candidates["poses"].fit

@@ -18,7 +18,7 @@ from baggie.geometry import FloatArray, invert_transform
 from baggie.pictures import read_picture
 from baggie.types import Image, Intrinsics
 from baggie.vision.corners import FLAT, Sag
-from baggie.vision.targets import Seen, Target, parse_target, with_sag
+from baggie.vision.targets import Target, TargetDetection, parse_target, with_sag
 
 Mount = Literal["hand", "fixed"]
 """Where the camera is: on the hand, with the board fixed in the world, or fixed, with the board on the hand."""
@@ -40,7 +40,7 @@ class HandEyeViews:
     """`(N, 4, 4)`, metres."""
     names: tuple[str, ...]
     """N of them: the picture, or the view's number."""
-    seen: tuple[Seen, ...] | None = None
+    seen: tuple[TargetDetection, ...] | None = None
     """The board's corners in each picture; None where only its poses are known."""
     intrinsics: Intrinsics | None = None
     intrinsics_covariance: FloatArray | None = None
@@ -62,7 +62,7 @@ class HandEyeViews:
         cls,
         mount: Mount,
         T_base_hand: Sequence[ArrayLike],
-        seen: Sequence[Seen | FloatArray | str | None],
+        seen: Sequence[TargetDetection | FloatArray | str | None],
         intrinsics: Intrinsics,
         *,
         intrinsics_covariance: FloatArray | None = None,
@@ -74,12 +74,12 @@ class HandEyeViews:
         That is its corners; or its pose `(4, 4)`, where only that is known; or why it was not found, in words or None.
         """
         names = [f"view {i}" for i in range(len(seen))] if names is None else names
-        kept: list[tuple[str, FloatArray, FloatArray, Seen | None]] = []
+        kept: list[tuple[str, FloatArray, FloatArray, TargetDetection | None]] = []
         dropped = []
         for name, hand, found in zip(names, T_base_hand, seen, strict=True):
             if found is None or isinstance(found, str):
                 dropped.append((name, found or "the board is not seen"))
-            elif isinstance(found, Seen):
+            elif isinstance(found, TargetDetection):
                 try:
                     board = fit_pose(found.points, found.pixels, intrinsics).pose.transform
                     kept.append((name, np.asarray(hand, float), board, found))
@@ -111,7 +111,7 @@ class HandEyeViews:
         return np.array([invert_transform(pose) for pose in self.T_base_hand]).reshape(-1, 4, 4)
 
     def select(self, which: NDArray[np.bool_]) -> HandEyeViews:
-        """These views only: `(N,)`."""
+        """Keep only the views of a mask `(N,)`."""
         index = np.flatnonzero(which)
         return replace(
             self,
@@ -235,7 +235,7 @@ class _Setting:
 
     @classmethod
     def read(cls, folder: Path, content: Mapping[str, Any], picture: Image) -> _Setting:
-        """For pictures of the size of one of them."""
+        """Read the setting for pictures of the size of `picture`."""
         height, width = picture.shape[:2]
         missing = [key for key in ("camera_matrix", "distortion", "board") if key not in content]
         if missing:
@@ -267,7 +267,7 @@ class _Setting:
         board = with_sag(parse_target(str(content["board"])), sag)
         return cls(board, Intrinsics(width, height, matrix, distortion), covariance, camera)
 
-    def detect(self, folder: Path, name: str) -> Seen | str:
+    def detect(self, folder: Path, name: str) -> TargetDetection | str:
         """The board's corners in a picture, or why it is not found there."""
         picture = _read_picture(folder, name)
         height, width = picture.shape[:2]

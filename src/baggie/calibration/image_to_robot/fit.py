@@ -3,8 +3,6 @@
 Three cases. With known intrinsics the camera's pose, 6 numbers. Without, from points at two heights, a projection
 matrix, 11 numbers; from one height, a homography, 8. In the last two, lens terms about the picture's centre are
 estimated along, but only those that make points which were left out come out better.
-
-Least squares on the error in the picture, with lens terms as far as left-out points justify them.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ Points the arm itself took to known positions tell where the camera is (`fit.py`
 from points at two heights, the map is good for every height; from points at one height it is a homography, good for
 that height alone. It knows how far off it may be: see `covariance_at`.
 
-Is the marker where the hand is said to hold it?
-
-Carried with the hand always turned the same way, a marker that sits 10 mm further forward than stated only shifts the
-whole map by 10 mm, and every residual looks perfect. Turned this way and that, it cannot.
+Whether the marker is where the hand is said to hold it is checked, too. Carried with the hand always turned the same
+way, a marker that sits 10 mm further forward than stated only shifts the whole map by 10 mm, and every residual looks
+perfect. Turned this way and that, it cannot.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike
 from baggie.calibration.files import CameraCalibrated, CameraIdentity
 from baggie.calibration.image_to_robot.fit import LensOrigin, solve
 from baggie.calibration.image_to_robot.projection import derivatives, heights_of, project, to_plane
-from baggie.calibration.image_to_robot.residuals import Comparison, Residuals, lattice, shared_area
+from baggie.calibration.image_to_robot.residuals import MapComparison, Residuals, lattice, shared_area
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, Rectangle, wrap_angle
 from baggie.pictures import same_shape
@@ -174,7 +173,7 @@ class ImageToRobot(CameraCalibrated):
         return wrap_angle(float(np.angle(np.exp(4j * angles).sum())) / 4, math.pi / 2)
 
     def covariance_at(self, robot: ArrayLike) -> FloatArray:
-        """Of the map's error at `(N, 2)` metres, the noise of a detection there not counted: `(N, 2, 2)` m²."""
+        """Covariance `(N, 2, 2)` m² of the map's error at `(N, 2)` metres, without a detection's own noise."""
         _, by_xy, by_numbers = derivatives(self.lens, self.projection, self._on_plane(robot))
         moved = np.linalg.solve(by_xy, by_numbers)
         return np.asarray(moved @ self.covariance @ moved.transpose(0, 2, 1), float)
@@ -185,7 +184,7 @@ class ImageToRobot(CameraCalibrated):
 
     @property
     def std_mm(self) -> float:
-        """The same, root mean square over the area."""
+        """Root mean square of one standard deviation over the area, millimetres."""
         return float(np.sqrt((self.std_mm_at(lattice(self.area, 9, 9)) ** 2).mean()))
 
     def summary(self) -> dict[str, Any]:
@@ -206,7 +205,7 @@ class ImageToRobot(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "made_on": self.made_on,
             "frame": "robot base: x forward, y left, z up from the table",
@@ -253,7 +252,7 @@ class ImageToRobot(CameraCalibrated):
         return np.column_stack([robot, np.full(len(robot), self.height_m)])
 
 
-def compare(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> Comparison:
+def compare_maps(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> MapComparison:
     """Compare two maps of one camera, whatever the size of their pictures, over an area, by default what both span.
 
     At the height of `a`, or, where only `a` can be carried to another height, of `b`. Raises `CalibrationError` for
@@ -263,7 +262,7 @@ def compare(a: ImageToRobot, b: ImageToRobot, area: Rectangle | None = None) -> 
     a, b = a.at_height(height), b.at_height(height).for_size(a.camera.size)
     area = area or shared_area(a.area, b.area)
     points = lattice(area, *_COMPARED)
-    return Comparison(area, height, points, (b.to_robot(a.to_pixels(points)) - points) * 1000)
+    return MapComparison(area, height, points, (b.to_robot(a.to_pixels(points)) - points) * 1000)
 
 
 _LIMIT_M = 0.002

@@ -2,11 +2,9 @@
 
 The matrix takes homogeneous points of the base frame to rays of the camera's frame (z forward, up to a positive
 factor), which the lens bends into the picture. It is `(3, 4)` for points (x, y, z, 1) of space, or `(3, 3)`, a
-homography, for points (x, y, 1) of one plane (Hartley & Zisserman, "Multiple View Geometry", sections 6.1 and 2.3).
-
-A first projection from points some of which are wrong, by linear least squares on those that agree best.
-
-Which points a map from the picture to the robot can be fitted to, and why others are refused.
+homography, for points (x, y, 1) of one plane (Hartley & Zisserman, "Multiple View Geometry", sections 6.1 and 2.3). A
+first one comes from linear least squares on the points that agree best; points that no map can be fitted to are
+refused.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """One camera's picture as if taken from straight above, through its map to the robot.
 
 Every pixel of a grid over the table looks up where the camera sees that place, on the one plane the map is right for.
-What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera.
-
-A card lies on the table; the outline of an object that rests on it is seen higher up, and so somewhere else.
+What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera. So the
+outline of an object that rests on a card is seen elsewhere than the card.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class Rectifier:
 
     @classmethod
     def of(cls, fitted: ImageToRobot, grid: Grid) -> Self:
-        """At the map's height, for pictures of the size that the map is of."""
+        """Make a rectifier at the map's height, for pictures of the size that the map is of."""
         plane = fitted.projection[:, [0, 1, -1]].copy()
         if fitted.height_aware:
             plane[:, 2] += fitted.height_m * fitted.projection[:, 2]
@@ -100,7 +99,7 @@ class Rectifier:
         return shown
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types; the picture's size and the grid are kept elsewhere."""
+        """Give the settings in plain YAML types; the picture's size and the grid are kept elsewhere."""
         parts = {"matrix": self.lens.matrix, "distortion": self.lens.distortion, "plane": self.plane}
         return {name: part.tolist() for name, part in parts.items()}
 

@@ -1,9 +1,4 @@
-"""What a map from the picture to the robot makes of the points it was fitted to.
-
-How far apart two maps from the picture to the robot place the same pixel.
-
-A map's residuals, or its differences from another map, over the workspace seen from above.
-"""
+"""Residuals of a map from the picture to the robot, and its differences from another map: numbers and drawings."""
 
 from __future__ import annotations
 
@@ -62,7 +57,7 @@ class Residuals:
         return float(np.linalg.norm(self.left_out_mm[self.kept], axis=1).max())
 
     def to_yaml(self) -> dict[str, Any]:
-        """As they stand in a file."""
+        """Give the content of a file in plain YAML types."""
         numbers = np.hstack([self.points, self.error_mm, self.left_out_mm]).tolist()
         rows = [[*row, bool(kept)] for row, kept in zip(numbers, self.kept, strict=True)]
         return {"columns": list(_COLUMNS), "rows": rows}
@@ -78,12 +73,12 @@ class Residuals:
 
 
 def _rms(vectors: FloatArray) -> float:
-    """Of the lengths of `(N, 2)`."""
+    """Root mean square of the lengths of `(N, 2)`."""
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MapComparison:
     """Where map `b` places what map `a` sees at each point of a grid, less where `a` places it."""
 
     area: Rectangle
@@ -183,7 +178,7 @@ def draw_residuals(image_to_robot: ImageToRobot, path: Path) -> None:
     write_figure(path, figure)
 
 
-def draw_comparison(comparison: Comparison, path: Path) -> None:
+def draw_comparison(comparison: MapComparison, path: Path) -> None:
     """Save a PNG of the same kind: how far, and which way, the second map places things from where the first does.
 
     Raises `WriteError` when it cannot be written.

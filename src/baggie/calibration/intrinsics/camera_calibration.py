@@ -94,7 +94,7 @@ class CameraCalibration(CameraCalibrated):
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """By parameter: `fx_px`, `fy_px`, `cx_px`, `cy_px`, `k1`, ...; empty from the factory."""
+        """Standard deviations by parameter: `fx_px`, `fy_px`, `cx_px`, `cy_px`, `k1`, ...; empty from the factory."""
         if self.covariance is None:
             return {}
         names = [f"{name}_px" if name[0] in "fc" else name for name in PARAMETERS]
@@ -118,7 +118,7 @@ class CameraCalibration(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "units": "pixels (u, v) with centres at integers; distortion in OpenCV's order",
             **self.summary(),
@@ -232,7 +232,7 @@ def read_factory(path: Path) -> Intrinsics:
 
 
 def _ros(content: Mapping[str, Any]) -> Intrinsics | None:
-    """As `camera_calibration` saves it, or as `ros2 topic echo` prints the message."""
+    """Read what `camera_calibration` saves, or as `ros2 topic echo` prints the message."""
     if "distortion_model" not in content:
         return None
     model = str(content["distortion_model"])
@@ -332,7 +332,7 @@ _ARROW = 0.03
 """Of the picture's width: how long a large residual (the 95th percentile) is about drawn."""
 
 
-def draw_coverage(calibration: CameraCalibration, path: Path) -> None:
+def draw_corner_errors(calibration: CameraCalibration, path: Path) -> None:
     """Save a picture of all corners, a colour for each view, with enlarged arrows to where they should appear.
 
     Arrows that point all ways are noise; arrows that agree with their neighbours are what the lens model misses.

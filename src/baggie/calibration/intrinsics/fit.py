@@ -1,9 +1,7 @@
 """A camera's matrix and lens distortion from pictures of a board.
 
 Wrong corners and views are thrown out, no more distortion terms are taken than views the fit has not seen justify,
-and the result says how sure it is.
-
-How many distortion terms the pictures justify, judged on views the fit has not seen, and what doubt remains.
+and the result says how sure it is and what doubt remains.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from baggie.calibration.intrinsics.views import (
     ENOUGH_VIEWS,
     MIN_VIEWS,
     BoardView,
-    agreeing,
+    agreeing_views,
     all_alike,
     clean,
     corner_noise_px,
@@ -41,7 +39,7 @@ from baggie.geometry import FloatArray
 from baggie.pictures import read_pictures
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
-from baggie.vision.targets import Seen, Target, with_sag
+from baggie.vision.targets import Target, TargetDetection, with_sag
 
 CANDIDATES: tuple[tuple[str, ...], ...] = (
     (),
@@ -72,7 +70,7 @@ class ChosenLens:
 
 
 def choose_lens(
-    seen: Sequence[Seen], size: tuple[int, int], start: Intrinsics, board: FloatArray
+    seen: Sequence[TargetDetection], size: tuple[int, int], start: Intrinsics, board: FloatArray
 ) -> ChosenLens:
     """The lens with the fewest terms whose error on held-out views is not significantly above that of the best.
 
@@ -90,8 +88,8 @@ def choose_lens(
     return ChosenLens(CANDIDATES[chosen], fits[chosen], _with_doubt(fits, chosen), rms)
 
 
-def held_out_error(seen: Seen, lens: Intrinsics) -> float:
-    """Square pixels: half of the corners say where the board is, the error is that of the other half; both ways.
+def held_out_error(seen: TargetDetection, lens: Intrinsics) -> float:
+    """Mean squared error, square pixels, of either half of the corners, where the other half says where the board is.
 
     A view's own pose would absorb much of a lens's error if it were fitted to the same corners.
     """
@@ -104,7 +102,7 @@ def held_out_error(seen: Seen, lens: Intrinsics) -> float:
     return float(np.concatenate(squares).mean())
 
 
-def _every_other(seen: Seen) -> NDArray[np.bool_]:
+def _every_other(seen: TargetDetection) -> NDArray[np.bool_]:
     """`(N,)`: about half of the corners, as the white squares of a chessboard lie, so that no half is on one line."""
     columns, rows = (np.unique(seen.points[:, axis].round(6), return_inverse=True)[1] for axis in (0, 1))
     white = np.asarray((columns + rows) % 2 == 0, np.bool_)
@@ -112,7 +110,9 @@ def _every_other(seen: Seen) -> NDArray[np.bool_]:
     return white if even else np.arange(len(white)) % 2 == 0
 
 
-def _held_out(seen: Sequence[Seen], fit: LensFit, terms: Sequence[str], board: FloatArray) -> FloatArray:
+def _held_out(
+    seen: Sequence[TargetDetection], fit: LensFit, terms: Sequence[str], board: FloatArray
+) -> FloatArray:
     """`(V,)` square pixels: the error of each view by a lens fitted to the others, a few views' far too great ones cut.
 
     `fit` is that to all of them, from which the others' is not far. Of a board that is hardly in the picture, half of
@@ -209,7 +209,7 @@ def fit_intrinsics(views: Sequence[BoardView], camera: CameraIdentity, target: T
     board = with_sag(target, FLAT).points
     cleaned, lost = clean(views)
     _check_enough(cleaned, lost, len(views))
-    kept, dropped, rough = agreeing(cleaned, camera.size, board)
+    kept, dropped, rough = agreeing_views(cleaned, camera.size, board)
     lost += dropped
     _check_enough(kept, lost, len(views))
     seen = [view.seen for view in kept]
@@ -266,7 +266,9 @@ def _focal_uncertainty(lens: ChosenLens) -> float:
     return float((np.sqrt(np.diag(lens.covariance)[:2]) / np.diag(lens.fit.intrinsics.matrix)[:2]).max())
 
 
-def _check_trust(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: CameraIdentity) -> None:
+def _check_trust(
+    lens: ChosenLens, rms: float, seen: Sequence[TargetDetection], camera: CameraIdentity
+) -> None:
     side = max(camera.size)
     fx, fy, cx, cy = lens.fit.intrinsics.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
     sane = all(_FOCAL[0] * side < f < _FOCAL[1] * side for f in (fx, fy))
@@ -290,7 +292,7 @@ def _check_trust(lens: ChosenLens, rms: float, seen: Sequence[Seen], camera: Cam
 
 
 def _warnings(
-    lens: ChosenLens, rms: float, noise: float | None, seen: Sequence[Seen], camera: CameraIdentity
+    lens: ChosenLens, rms: float, noise: float | None, seen: Sequence[TargetDetection], camera: CameraIdentity
 ) -> list[str]:
     found = warnings_about(seen, lens.fit.poses, camera.size)
     unsure = _focal_uncertainty(lens)

@@ -3,8 +3,7 @@
 A board bent by a millimetre, taken for flat, makes the focal length wrong by a hundredth, and the corners by so little
 that nobody notices. So its sag is fitted along, as mrcal does (`cv2.calibrateCameraRO` frees every point: Strobl &
 Hirzinger, "More accurate pinhole camera calibration with imperfect planar target", 2011, and wants all in every view).
-
-A lens and the poses of a flat board, by OpenCV: where the bundle starts.
+It starts from OpenCV's lens and poses of a flat board.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag, bows
-from baggie.vision.targets import Seen
+from baggie.vision.targets import TargetDetection
 
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 """Brown's terms in OpenCV's order: radial k, tangential p."""
@@ -31,7 +30,7 @@ _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
 def search_lens(
-    seen: Sequence[Seen], size: tuple[int, int], terms: Sequence[str], start: Intrinsics
+    seen: Sequence[TargetDetection], size: tuple[int, int], terms: Sequence[str], start: Intrinsics
 ) -> tuple[Intrinsics, list[FloatArray]]:
     """The lens with these distortion terms, all others zero, and each `T_camera_target`, the board taken as flat.
 
@@ -45,7 +44,7 @@ def search_lens(
     return _search(seen, size, flags, start.matrix, start.distortion * free)
 
 
-def rough_lens(seen: Sequence[Seen], size: tuple[int, int]) -> Intrinsics:
+def rough_lens(seen: Sequence[TargetDetection], size: tuple[int, int]) -> Intrinsics:
     """One focal length and k1, the principal point in the middle: what a few pictures determine.
 
     Raises `CalibrationError` where the pictures do not even determine that.
@@ -64,7 +63,7 @@ def guessed_lens(size: tuple[int, int]) -> Intrinsics:
     return Intrinsics(width, height, matrix, np.zeros(5))
 
 
-def board_pose(seen: Seen, intrinsics: Intrinsics) -> FloatArray:
+def board_pose(seen: TargetDetection, intrinsics: Intrinsics) -> FloatArray:
     """`T_camera_target` of a board, flat or nearly so, least squares over all corners, four or more.
 
     IPPE (Collins & Bartoli, 2014) as if it were flat, then Levenberg-Marquardt as it is. Raises `CalibrationError`
@@ -80,14 +79,18 @@ def board_pose(seen: Seen, intrinsics: Intrinsics) -> FloatArray:
     return rigid(cv2.Rodrigues(turn)[0], shift)
 
 
-def subset(seen: Seen, which: NDArray[np.bool_] | slice) -> Seen:
+def subset(seen: TargetDetection, which: NDArray[np.bool_] | slice) -> TargetDetection:
     """Some of the corners."""
     index = np.arange(len(seen.ids))[which]  # OpenCV takes no arrays with strides
-    return Seen(seen.ids[index], seen.pixels[index], seen.points[index])
+    return TargetDetection(seen.ids[index], seen.pixels[index], seen.points[index])
 
 
 def _search(
-    seen: Sequence[Seen], size: tuple[int, int], flags: int, matrix: FloatArray, distortion: FloatArray
+    seen: Sequence[TargetDetection],
+    size: tuple[int, int],
+    flags: int,
+    matrix: FloatArray,
+    distortion: FloatArray,
 ) -> tuple[Intrinsics, list[FloatArray]]:
     points = [view.points.astype(np.float32) for view in seen]
     pixels = [view.pixels.astype(np.float32) for view in seen]
@@ -159,7 +162,11 @@ class LensGuess:
 
 
 def fit_lens(
-    seen: Sequence[Seen], size: tuple[int, int], terms: Sequence[str], start: Intrinsics, board: FloatArray
+    seen: Sequence[TargetDetection],
+    size: tuple[int, int],
+    terms: Sequence[str],
+    start: Intrinsics,
+    board: FloatArray,
 ) -> LensFit:
     """Focal lengths, principal point, the named distortion `terms`, all others at zero, and the sag of a `board`.
 
@@ -169,8 +176,10 @@ def fit_lens(
     return settle_lens(seen, terms, LensGuess(*search_lens(seen, size, terms, start)), board)
 
 
-def settle_lens(seen: Sequence[Seen], terms: Sequence[str], state: LensGuess, board: FloatArray) -> LensFit:
-    """The same from where it is nearly right, by Levenberg and Marquardt's steps."""
+def settle_lens(
+    seen: Sequence[TargetDetection], terms: Sequence[str], state: LensGuess, board: FloatArray
+) -> LensFit:
+    """Fit a lens from where it is nearly right, by Levenberg and Marquardt's steps."""
     columns = np.array([True] * 4 + [term in terms for term in DISTORTION] + [True] * 2)
     spare = max(sum(2 * len(view.ids) - 6 for view in seen) - int(columns.sum()), 1)
     blocks = _eliminated(seen, state, board, columns)
@@ -217,7 +226,7 @@ class _Eliminated:
 
 
 def _eliminated(
-    seen: Sequence[Seen], state: LensGuess, board: FloatArray, columns: NDArray[np.bool_]
+    seen: Sequence[TargetDetection], state: LensGuess, board: FloatArray, columns: NDArray[np.bool_]
 ) -> list[_Eliminated]:
     lens = state.intrinsics.matrix, state.intrinsics.distortion
     blocks = []

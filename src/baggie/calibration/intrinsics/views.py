@@ -24,7 +24,7 @@ from baggie.calibration.pose import residuals_px
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray
 from baggie.types import Image, Intrinsics
-from baggie.vision.targets import Seen, Target
+from baggie.vision.targets import Target, TargetDetection
 
 ENOUGH_VIEWS = 20
 _MIN_VIEWS = 10
@@ -51,7 +51,7 @@ class BoardView:
     """A board found in a picture."""
 
     name: str
-    seen: Seen
+    seen: TargetDetection
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def find_views(
     return views, skipped
 
 
-def spread(seen: Sequence[Seen], poses: Sequence[FloatArray], size: tuple[int, int]) -> Spread:
+def spread(seen: Sequence[TargetDetection], poses: Sequence[FloatArray], size: tuple[int, int]) -> Spread:
     """How boards with `T_camera_target` `poses` spread over pictures of `size` (width, height)."""
     corners = np.concatenate([view.pixels for view in seen])
     cells = np.clip((corners + 0.5) / size * 3, 0, 2.999).astype(int)
@@ -100,7 +100,9 @@ def spread(seen: Sequence[Seen], poses: Sequence[FloatArray], size: tuple[int, i
     )
 
 
-def warnings_about(seen: Sequence[Seen], poses: Sequence[FloatArray], size: tuple[int, int]) -> list[str]:
+def warnings_about(
+    seen: Sequence[TargetDetection], poses: Sequence[FloatArray], size: tuple[int, int]
+) -> list[str]:
     """One line for each thing these views lack."""
     found = []
     shown = spread(seen, poses, size)
@@ -146,18 +148,18 @@ def next_view(views: Sequence[BoardView], camera: CameraIdentity, target: Target
     return None
 
 
-def is_new(views: Sequence[BoardView], seen: Seen) -> bool:
+def is_new(views: Sequence[BoardView], seen: TargetDetection) -> bool:
     """Whether a board just seen is placed differently enough from all those kept to add something."""
     return all(_differs(view.seen, seen) for view in views)
 
 
-def all_alike(seen: Sequence[Seen]) -> bool:
+def all_alike(seen: Sequence[TargetDetection]) -> bool:
     """Whether all views are of one pose."""
     return not any(_differs(seen[0], other) for other in seen[1:])
 
 
-def _differs(a: Seen, b: Seen) -> bool:
-    """By the similarity that takes one's corners nearest to the other's: moved, turned, resized, or not similar."""
+def _differs(a: TargetDetection, b: TargetDetection) -> bool:
+    """Whether two views differ: the best similarity between their corners moves, turns or resizes, or is none."""
     _, in_a, in_b = np.intersect1d(a.ids, b.ids, return_indices=True)
     if len(in_a) < 4:
         return True
@@ -178,7 +180,7 @@ def _complex(pixels: FloatArray) -> NDArray[np.complex128]:
     return np.asarray(pixels[:, 0] + 1j * pixels[:, 1], np.complex128)
 
 
-def _rough_poses(seen: Sequence[Seen], size: tuple[int, int]) -> list[FloatArray]:
+def _rough_poses(seen: Sequence[TargetDetection], size: tuple[int, int]) -> list[FloatArray]:
     """Good enough to tell tilts: by a lens fitted to these few views, or guessed where they do not tell it."""
     lens: Intrinsics = guessed_lens(size)
     if len(seen) >= 5:
@@ -198,8 +200,8 @@ _MEDIAN_SQUARE = 0.4549
 """Of a standard normal distribution: the median of chi squared with one degree of freedom."""
 
 
-def corner_noise_px(seen: Sequence[Seen], residuals: Sequence[FloatArray]) -> float | None:
-    """Of how far corners are off `(N, 2)`, what goes from corner to corner: RMS distance, pixels.
+def corner_noise_px(seen: Sequence[TargetDetection], residuals: Sequence[FloatArray]) -> float | None:
+    """RMS noise of corners, pixels: of their errors `(N, 2)`, what differs from one corner to the next.
 
     What a wrong lens or a bent board does goes smoothly over a board, and third differences along its rows and columns
     leave next to nothing of it; noise of independent corners gets twenty times its variance. By their median: a few
@@ -213,7 +215,7 @@ def corner_noise_px(seen: Sequence[Seen], residuals: Sequence[FloatArray]) -> fl
     return float(np.sqrt(2 * variance))
 
 
-def _third(view: Seen, residuals: FloatArray) -> FloatArray:
+def _third(view: TargetDetection, residuals: FloatArray) -> FloatArray:
     """`(M,)`: the third differences of what stands side by side, along rows and columns, u and v."""
     steps = [np.unique(view.points[:, axis].round(6), return_inverse=True)[1] for axis in (0, 1)]
     grid = np.full((steps[1].max() + 1, steps[0].max() + 1, 2), np.nan)
@@ -241,7 +243,7 @@ _ROUNDS = 20
 
 
 def clean(views: Sequence[BoardView]) -> tuple[list[BoardView], list[tuple[str, str]]]:
-    """Without corners grossly off the plane, and views with hardly any others: kept views, and dropped ones with why.
+    """Drop corners grossly off the plane, and views with hardly any others; kept views, and dropped ones with why.
 
     No lens is needed: it bends a board by much less than a square.
     """
@@ -260,7 +262,7 @@ def clean(views: Sequence[BoardView]) -> tuple[list[BoardView], list[tuple[str, 
     return kept, dropped
 
 
-def agreeing(
+def agreeing_views(
     views: Sequence[BoardView], size: tuple[int, int], board: FloatArray
 ) -> tuple[list[BoardView], list[tuple[str, str]], Intrinsics]:
     """The views, without outlying corners, that agree on one lens; those that do not, with why; and that lens.
@@ -297,7 +299,7 @@ def agreeing(
     return [BoardView(name, view) for name, view in zip(names, kept, strict=True)], dropped, lens
 
 
-def _plane(seen: Seen) -> tuple[FloatArray | None, NDArray[np.bool_]]:
+def _plane(seen: TargetDetection) -> tuple[FloatArray | None, NDArray[np.bool_]]:
     """The homography `(3, 3)` from the board to the picture, pixels, and which corners `(N,)` it maps."""
     apart = np.linalg.norm(seen.pixels[:, None] - seen.pixels, axis=2)
     square = float(np.median(np.sort(apart, axis=1)[:, 1]))
@@ -308,8 +310,8 @@ def _plane(seen: Seen) -> tuple[FloatArray | None, NDArray[np.bool_]]:
     return np.asarray(homography, float), near.ravel().astype(np.bool_)
 
 
-def _near_most(seen: Sequence[Seen], size: tuple[int, int]) -> Intrinsics:
-    """Of rough lenses, each fitted to a few views drawn at random, the one that most views are nearest to."""
+def _near_most(seen: Sequence[TargetDetection], size: tuple[int, int]) -> Intrinsics:
+    """Find the rough lens, of those fitted to a few random views each, that most views are nearest to."""
     rng = np.random.default_rng(0)
     drawn = {tuple(sorted(rng.choice(len(seen), _DRAWN, replace=False).tolist())) for _ in range(_DRAWS)}
     most = max(MIN_VIEWS, int(np.ceil(_MOST * len(seen))))
@@ -337,7 +339,7 @@ def _near_most(seen: Sequence[Seen], size: tuple[int, int]) -> Intrinsics:
     return found
 
 
-def _distances(seen: Seen, placed_by: NDArray[np.bool_] | slice, lens: Intrinsics) -> FloatArray:
+def _distances(seen: TargetDetection, placed_by: NDArray[np.bool_] | slice, lens: Intrinsics) -> FloatArray:
     """`(N,)` pixels: how far all corners are off, the board's pose fitted to some."""
     pose = board_pose(subset(seen, placed_by), lens)
     return np.asarray(np.linalg.norm(residuals_px(pose, seen.points, seen.pixels, lens), axis=1), float)

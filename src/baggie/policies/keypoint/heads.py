@@ -1,20 +1,17 @@
-"""The learned map from the picture to the robot's plane: `g` of the calibration-free augmentation.
+"""Heads of the `keypoint` network: points from heat maps, yaws from phases of edges, and the map to the robot's plane.
 
-Points from heat maps, differentiably.
+The learned map is `g` of the calibration-free augmentation.
 
-Which way edges run: what the yaw of an object is made of, computed rather than learned.
+Which way edges run is computed rather than learned. A phase of angular order s says exp(i s θ) of directions θ that
+look the same s times a turn: order 2 for edges, whose two sides are alike, and order 4 for the sides of a square.
+Averaged over edges it is a sum of unit vectors, as in the structure tensor (J. Bigün and G. Granlund, "Optimal
+orientation detection of linear symmetry", ICCV 1987) and its higher orders. A network that has to find this by itself
+under random rotations may not in some hundred batches.
 
-A phase of angular order s says exp(i s θ) of directions θ that look the same s times a turn: order 2 for edges, whose
-two sides are alike, and order 4 for the sides of a square. Averaged over edges it is a sum of unit vectors, as in the
-structure tensor (J. Bigün and G. Granlund, "Optimal orientation detection of linear symmetry", ICCV 1987) and its
-higher orders. A network that has to find this by itself under random rotations may not in some hundred batches.
-
-Angles as phases: no seam, and no ambiguity for things that look the same several times a turn.
-
-The yaw ψ of an object that looks the same s times a turn is the phase exp(i s θ) of its direction θ in the picture.
-A map with Jacobian J from picture to robot turns directions: a side at ψ in the robot's frame lies along
-J⁻¹ (cos ψ, sin ψ) in the picture. A tilted camera shears the sides of a square, so both sides' phases are averaged;
-of a long thing the long side counts.
+Angles as phases have no seam, and no ambiguity for things that look the same several times a turn. The yaw ψ of an
+object that looks the same s times a turn is the phase exp(i s θ) of its direction θ in the picture. A map with Jacobian
+J from picture to robot turns directions: a side at ψ in the robot's frame lies along J⁻¹ (cos ψ, sin ψ) in the picture.
+A tilted camera shears the sides of a square, so both sides' phases are averaged; of a long thing the long side counts.
 """
 
 from __future__ import annotations
@@ -158,7 +155,7 @@ def phase_of(yaw: Tensor, jacobian: Tensor, symmetry: int = SQUARE) -> Tensor:
     return torch.nn.functional.normalize(torch.as_tensor(total), dim=-1)
 
 
-def yaw_of(phase: Tensor, jacobian: Tensor, symmetry: int = SQUARE, iterations: int = 10) -> Tensor:
+def yaw_of_phase(phase: Tensor, jacobian: Tensor, symmetry: int = SQUARE, iterations: int = 10) -> Tensor:
     """The inverse of `phase_of` by fixed-point iteration: yaw `(...)`, radians in [-π / s, π / s)."""
     yaw = torch.zeros_like(phase[..., 0])
     j = jacobian
@@ -178,19 +175,19 @@ _FAR = 4
 """A start with so many times another one's loss is none."""
 
 
-def apply(matrix: Tensor, points: Tensor) -> Tensor:
+def apply_homographies(matrix: Tensor, points: Tensor) -> Tensor:
     """Map points through homographies: `(..., 3, 3)`, `(..., 2)` -> `(..., 2)`."""
     mapped = (matrix[..., :2] @ points.unsqueeze(-1)).squeeze(-1) + matrix[..., 2]
     return mapped[..., :2] / mapped[..., 2:]
 
 
-def jacobian(matrix: Tensor, points: Tensor) -> Tensor:
-    """Derivative of `apply` at the points: `(..., 3, 3)`, `(..., 2)` -> `(..., 2, 2)`.
+def homography_jacobian(matrix: Tensor, points: Tensor) -> Tensor:
+    """Derivative of `apply_homographies` at the points: `(..., 3, 3)`, `(..., 2)` -> `(..., 2, 2)`.
 
     For p' = N / D it is (dN - p' dD) / D, with the rows of the matrix as dN and dD.
     """
     denominator = (matrix[..., 2, :2] * points).sum(dim=-1) + matrix[..., 2, 2]
-    mapped = apply(matrix, points)
+    mapped = apply_homographies(matrix, points)
     numerator = matrix[..., :2, :2] - mapped.unsqueeze(-1) * matrix[..., 2:, :2]
     return numerator / denominator[..., None, None]
 
@@ -220,7 +217,7 @@ class PlanarMap(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """`(..., 2)` normalised picture coordinates -> `(..., 2)` metres."""
-        return apply(self.matrix(), self._straighten(points))
+        return apply_homographies(self.matrix(), self._straighten(points))
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Derivative of `forward`: `(..., 2)` -> `(..., 2, 2)`."""
@@ -230,14 +227,14 @@ class PlanarMap(nn.Module):
         outer = offset.unsqueeze(-1) * offset.unsqueeze(-2)
         identity = torch.eye(2, dtype=points.dtype, device=points.device)
         lens = identity * (1 + k1 * r2 + k2 * r2**2) + outer * (2 * k1 + 4 * k2 * r2)
-        plane = jacobian(self.matrix(), self._straighten(points))
+        plane = homography_jacobian(self.matrix(), self._straighten(points))
         return torch.matmul(plane, lens)
 
     def inverse(self, xy: Tensor, iterations: int = 8) -> Tensor:
         """`(..., 2)` metres -> `(..., 2)` normalised picture coordinates, by Newton's method from the
         homography's.
         """
-        points = apply(torch.linalg.inv(self.matrix()), xy)
+        points = apply_homographies(torch.linalg.inv(self.matrix()), xy)
         for _ in range(iterations):
             residual = (xy - self(points)).unsqueeze(-1)
             points = points + torch.linalg.solve(self.jacobian(points), residual).squeeze(-1)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 from baggie.errors import BaggieError
-from baggie.options.choices import Preset
+from baggie.options.values import Preset
 
 _FEWEST_BINS = 3
 """So that the best bin has two neighbours, between which an angle can be read."""
@@ -48,7 +48,7 @@ class TransporterConfig:
         return math.lcm(2, self.symmetry) if self.pick_symmetry is None else self.pick_symmetry
 
     def bins(self, fold: int) -> int:
-        """Of the `fold`-th part of a turn, as wide as those of a whole one."""
+        """Count the bins of the `fold`-th part of a turn, as wide as those of a whole one."""
         return 1 if fold == 0 else max(_FEWEST_BINS, round(self.rotations / fold))
 
     def orders_of(self, fold: int) -> int:
@@ -56,7 +56,7 @@ class TransporterConfig:
         return max(1, self.orders // max(fold, 1))
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types."""
+        """Give the settings in plain YAML types."""
         return asdict(self)
 
     @classmethod

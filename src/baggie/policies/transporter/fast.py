@@ -1,12 +1,9 @@
-"""`fast`: where to put what was picked, turned by how much. Coarse over the whole map, then to the pixel near by.
+"""The networks of the preset `fast`: one small U-Net whose features serve the pick, the place and both angles.
 
-Both looks add two scores of a place y and an angle a: how well the surroundings of the pick, turned by a, correlate
-with those of y (Zeng et al., CoRL 2020, section 3.2), which is right about the place, and the phases of `spatial.py`,
-which are right about the angle.
-
-What `fast` sees of a map: one small U-Net whose features serve the pick, the place and both angles.
-
-`fast`: where to pick, from nothing but the map, and at which yaw, from what is there.
+The pick's pixel follows from nothing but the map, its yaw from what is there. The place is coarse over the whole map,
+then to the pixel near by. Both looks add two scores of a place y and an angle a: how well the surroundings of the pick,
+turned by a, correlate with those of y (Zeng et al., CoRL 2020, section 3.2), which is right about the place, and the
+phases of `spatial.py`, which are right about the angle.
 """
 
 from __future__ import annotations
@@ -37,7 +34,7 @@ _HEIGHT_M = 0.05
 """A thing of this height is as different from the table as black is from white."""
 
 
-class Scene(NamedTuple):
+class MapFeatures(NamedTuple):
     """What is known of B maps after one look."""
 
     maps: Tensor
@@ -70,7 +67,7 @@ class Trunk(nn.Module):
         self.up0 = convolution(middle, width, size=1)
         self.join0 = Residual(width)
 
-    def forward(self, color: Tensor, height: Tensor) -> Scene:
+    def forward(self, color: Tensor, height: Tensor) -> MapFeatures:
         """`(B, 3, H, W)` uint8 and `(B, H, W)` metres, of any size."""
         maps = torch.cat([color.float() / 127.5 - 1, height.unsqueeze(1) / _HEIGHT_M], dim=1)
         rows, columns = maps.shape[-2:]
@@ -82,7 +79,7 @@ class Trunk(nn.Module):
         deep = self.deep(F.relu(self.down2(middle)))
         middle = self.join1(middle + _enlarged(self.up1(deep)))
         features = self.join0(fine + _enlarged(self.up0(middle)))
-        return Scene(maps, features[..., : -(-rows // CELL), : -(-columns // CELL)].contiguous())
+        return MapFeatures(maps, features[..., : -(-rows // CELL), : -(-columns // CELL)].contiguous())
 
 
 class Residual(nn.Module):
@@ -101,7 +98,7 @@ class Residual(nn.Module):
 
 
 def convolution(inputs: int, outputs: int, size: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
-    """One that keeps the variance through a ReLU, times `gain`², and starts without bias."""
+    """Make a convolution that keeps the variance through a ReLU, times `gain`², and starts without bias."""
     layer = nn.Conv2d(inputs, outputs, size, stride=stride, padding=size // 2)
     nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
     assert layer.bias is not None
@@ -136,7 +133,7 @@ class PickMap(nn.Module):
         super().__init__()
         self.logits = convolution(width, CELL**2, size=1, gain=0.1)
 
-    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         rows, columns = scene.maps.shape[-2:]
         logits = F.pixel_shuffle(self.logits(scene.features), CELL)[..., :rows, :columns]
@@ -156,8 +153,8 @@ class PickAngle(nn.Module):
         self.register_buffer("angles", turn_angles(config.bins(self.fold), self.fold), persistent=False)
         self.angles: Tensor
 
-    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
-        """Of the yaw at the point: `(B, R, 1, 1)`."""
+    def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
+        """Score the yaw at the point: `(B, R, 1, 1)`."""
         coefficients = self.read(at_points(scene.features, about.place, CELL))
         coefficients = coefficients.view(-1, self.orders, 2, 1, 1)
         logits = scores(coefficients, max(self.fold, 1) * self.angles)
@@ -217,14 +214,14 @@ class Matching(nn.Module):
 
 
 class CoarsePlace(nn.Module):
-    """Every cell of the map."""
+    """Scores of a place in every cell of the map."""
 
     def __init__(self, config: TransporterConfig, width: int) -> None:
         super().__init__()
         bins = max(3, config.bins(config.symmetry) // _COARSE_STEP) if config.symmetry else 1
         self.match = Matching(config, width, bins, _COARSE_CROP)
 
-    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         first = (CELL - 1) / 2
         logits = self.match(scene.features, (pick.place - first) / CELL, scene.features)
@@ -232,7 +229,7 @@ class CoarsePlace(nn.Module):
 
 
 class FinePlace(nn.Module):
-    """Every pixel near a place, from the pixels themselves and the trunk's features.
+    """Scores of every pixel near a place, from the pixels themselves and the trunk's features.
 
     Only two patches are looked at, about the pick and about the place, so that full resolution costs next to nothing.
     """
@@ -244,8 +241,8 @@ class FinePlace(nn.Module):
         self.conv2 = convolution(_FINE_WIDTH, _FINE_WIDTH)
         self.match = Matching(config, _FINE_WIDTH, config.bins(config.symmetry), _CROP)
 
-    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
-        """Within 6 pixels of what it is about."""
+    def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+        """Score the pixels within 6 of the place that it is about."""
         size = _CROP + 2 * (_SEARCH + _RIM) + 1
         batch, centre = len(pick.place), about.place.round()
         context = self.context(scene.features).contiguous()

@@ -1,7 +1,6 @@
 """Transporter Networks, whichever preset: one look at the maps, then looks for the pick, then looks for the place.
 
-The published networks: a residual network to one logit a pixel for the pick, and two to correlate for the place.
-
+The preset `paper` is here: a residual network to one logit a pixel for the pick, and two to correlate for the place.
 Source: A. Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020,
 section 3; widths, normalisation and the order of steps (crop, turn, then look) as in the code published with it.
 """
@@ -15,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.policies.transporter.config import TransporterConfig
-from baggie.policies.transporter.fast import CoarsePlace, FinePlace, PickAngle, PickMap, Scene, Trunk
+from baggie.policies.transporter.fast import CoarsePlace, FinePlace, MapFeatures, PickAngle, PickMap, Trunk
 from baggie.policies.transporter.scores import PlaceAngle, Scores, turn_angles
 from baggie.policies.transporter.spatial import correlate, rotated_crops
 
@@ -34,14 +33,14 @@ _UP = (128, 64)
 class PaperMaps(nn.Module):
     """Colour and height, the height three times, normalised as published."""
 
-    def forward(self, color: Tensor, height: Tensor) -> Scene:
+    def forward(self, color: Tensor, height: Tensor) -> MapFeatures:
         """`(B, 3, H, W)` uint8 and `(B, H, W)` metres -> maps `(B, 6, H, W)`; there are no features to share."""
         colors = (color.float() / 255 - _COLOR_MEAN) / _COLOR_STD
         heights = ((height - _HEIGHT_MEAN_M) / _HEIGHT_STD_M).unsqueeze(1).expand(-1, 3, -1, -1)
-        return Scene(torch.cat([colors, heights], dim=1), colors.new_zeros(len(colors), 0, 1, 1))
+        return MapFeatures(torch.cat([colors, heights], dim=1), colors.new_zeros(len(colors), 0, 1, 1))
 
 
-class Block(nn.Module):
+class ResidualBlock(nn.Module):
     """1 x 1, 3 x 3, 1 x 1 beside a shortcut, which is a convolution of its own where the shape changes."""
 
     def __init__(
@@ -98,7 +97,7 @@ class Attention(nn.Module):
         self.angles: Tensor
         self.network = ResidualFCN(inputs, 1)
 
-    def forward(self, scene: Scene, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         maps = scene.maps
         logits = self.network(maps) if len(self.angles) == 1 else self._at_every_yaw(maps)
@@ -128,7 +127,7 @@ class Transport(nn.Module):
         self.angles: Tensor
         self.query, self.key = ResidualFCN(inputs, CHANNELS), ResidualFCN(inputs, CHANNELS)
 
-    def forward(self, scene: Scene, pick: PlaceAngle, about: PlaceAngle) -> Scores:
+    def forward(self, scene: MapFeatures, pick: PlaceAngle, about: PlaceAngle) -> Scores:
         """Over the whole map, whatever it is about."""
         around = CROP // 2
         padded = F.pad(scene.maps, (around,) * 4)
@@ -145,8 +144,8 @@ class _Enlarge(nn.Module):
 
 def _stage(inputs: int, width: int, outputs: int, stride: int, *, last: bool = False) -> nn.Sequential:
     return nn.Sequential(
-        Block(inputs, width, outputs, stride, first=True, last=last),
-        Block(outputs, width, outputs, 1, first=False, last=last),
+        ResidualBlock(inputs, width, outputs, stride, first=True, last=last),
+        ResidualBlock(outputs, width, outputs, 1, first=False, last=last),
     )
 
 
@@ -197,7 +196,7 @@ class TransporterNet(nn.Module):
         Maps `(B, 3, H, W)` uint8 and `(B, H, W)` metres; the true pick; `about` `(B, 2)` (u, v) pixels: near the true
         place, where a finer look for it is to look.
         """
-        scene: Scene = self.look(color, height)
+        scene: MapFeatures = self.look(color, height)
         near = PlaceAngle(about, torch.zeros_like(pick.angle))
         return [stage(scene, pick) for stage in self.picks] + [
             stage(scene, pick, near) for stage in self.places
@@ -208,7 +207,7 @@ class TransporterNet(nn.Module):
 
         `barred` `(B, H, W)`: where not to pick.
         """
-        scene: Scene = self.look(color, height)
+        scene: MapFeatures = self.look(color, height)
         rows, columns = height.shape[-2:]
         last = height.new_tensor([columns - 1.0, rows - 1.0])
         start = PlaceAngle(height.new_zeros(len(height), 2), height.new_zeros(len(height)))

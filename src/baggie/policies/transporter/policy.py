@@ -1,6 +1,6 @@
 """The `transporter` policy: from the table as seen from straight above, or rectified to that, to pick and place.
 
-Maps turned by quarter turns, and decisions about them turned back: exactly, as no pixel falls between others.
+Where it is unsure it looks at the map turned by quarter turns, too: exactly, as no pixel falls between others.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from torch import Tensor
 from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, wrap_angle
-from baggie.policies.checkpoint import as_trained
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.policies.checkpoint import at_training_size
 from baggie.policies.learned import LearnedPolicy
+from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import PlaceAngle, Scores
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, marked, seen
+from baggie.types import Goal, Image, Observation, PickPlace, Plan, require_goal, require_observation
 
 Pixels = TypeVar("Pixels", bound=np.generic)
 
 
-def turned(pixels: NDArray[Pixels], quarters: int) -> NDArray[Pixels]:
+def quarter_turned(pixels: NDArray[Pixels], quarters: int) -> NDArray[Pixels]:
     """Pixels `(H, W)` or `(H, W, C)` of a map, turned by so many quarters from v towards u."""
     return np.ascontiguousarray(np.rot90(pixels, quarters))
 
 
 def turned_back(decision: Decision, quarters: int, shape: tuple[int, int]) -> Decision:
-    """What a decision about a map `turned` by so many quarters says of the map itself, whose `shape` is (H, W).
+    """What a decision about a map `quarter_turned` by so many quarters says of the map itself, whose `shape` is (H, W).
 
     The pick's yaw is the least of those that look alike; 0, as it was, where no look was about it.
     """
@@ -89,7 +89,7 @@ class Scale:
     """How far from where it was to go a thing lies that was well placed."""
 
     def config(self) -> dict[str, float]:
-        """In plain YAML types; nothing where nothing is known."""
+        """Give the sizes in plain YAML types; nothing where nothing is known."""
         return (
             {} if self == UNKNOWN else {"highest_m": self.highest_m, "lands_within_px": self.lands_within_px}
         )
@@ -168,7 +168,7 @@ class TransporterPolicy(LearnedPolicy):
         where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
         goal leaves it or the grid.
         """
-        straight, goal = self._rectified(seen(observation), goal)
+        straight, goal = self._rectified(require_observation(observation), goal)
         grid, height = self._checked(straight)
         color = self.painted(straight.color, goal)
         decision = self.decide(color, height, self.barred(height, straight.tried))
@@ -188,7 +188,7 @@ class TransporterPolicy(LearnedPolicy):
     def painted(self, color: Image, goal: Goal | None) -> Image:
         """The colours `(H, W, 3)` with the goal in them. Raises `BaggieError` where it is missing or leaves the map."""
         if self.goal_input is not None:
-            goal = marked(goal)
+            goal = require_goal(goal)
         if goal is None:
             return color
         drawn = self.goal_input or GoalInput("painted")
@@ -225,7 +225,11 @@ class TransporterPolicy(LearnedPolicy):
             return straight
         others = []
         for quarters in (1, 2, 3):
-            there = self._decide(turned(color, quarters), turned(height, quarters), turned(barred, quarters))
+            there = self._decide(
+                quarter_turned(color, quarters),
+                quarter_turned(height, quarters),
+                quarter_turned(barred, quarters),
+            )
             others.append(turned_back(there, quarters, height.shape))
         return max([straight, *others], key=lambda each: _sure(each.picks) * _sure(each.places))
 
@@ -241,7 +245,7 @@ class TransporterPolicy(LearnedPolicy):
         """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""
         if self.rectifier is None:
             return observation, goal
-        picture, goal = as_trained(observation, marked(goal), self.picture_size, self.camera_size)
+        picture, goal = at_training_size(observation, require_goal(goal), self.picture_size, self.camera_size)
         if not self.rectifier.contains(goal.corners):
             (u, v), grid = goal.center, self.grid
             raise BaggieError(

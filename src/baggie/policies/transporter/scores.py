@@ -3,10 +3,9 @@
 A decision is a chain of such looks, from coarse to fine: each is about where the one before it ended. All that learning
 and planning need to know of a look is here, so that presets may differ in how many they take.
 
-What a network is to say about a true place and angle, and what place and angle it says.
-
-Both are distributions over R rotation bins, H rows and W columns at once. Bin r is the angle 2 π r / R; angles turn as
-in `rotation`. Truths between pixels and between bins are not rounded.
+What a network is to say about a true place and angle, and what it says, are distributions over R rotation bins, H rows
+and W columns at once. Bin r is the angle 2 π r / R; angles turn as in `rotation`. Truths between pixels and between
+bins are not rounded.
 """
 
 from __future__ import annotations
@@ -204,11 +203,11 @@ class Scores(NamedTuple):
         return PlaceAngle(place, angle)
 
     def without(self, barred: Tensor) -> Scores:
-        """The same of a look at every pixel of the map, but for those that are `barred` `(B, H, W)`."""
+        """Leave out the pixels that are `barred` `(B, H, W)`, of a look at every pixel of the map."""
         return self._replace(logits=self.logits.masked_fill(barred[:, None], -math.inf))
 
     def given(self, before: Scores) -> Scores:
-        """The same of a finer look, given what a coarser one said: the product of both, whatever its angles.
+        """Combine a finer look with what a coarser one said: the product of both, whatever its angles.
 
         A finer look is taught to tell places near by from each other, all as likely; how likely they are the coarser
         one, at every cell of the map, knows. A look at one cell, or after one at one cell, stays as it is; else it is
@@ -226,7 +225,7 @@ class Scores(NamedTuple):
         return self.logits.flatten(1).softmax(dim=1).view_as(self.logits).sum(dim=1)
 
     def share(self) -> Tensor:
-        """Of the weight, what is within two cells of the best one: `(B,)` in [0, 1]."""
+        """Share of the weight that is within two cells of the best one: `(B,)` in [0, 1]."""
         heat = self.heat()
         _, height, width = heat.shape
         best = heat.flatten(1).argmax(dim=1)

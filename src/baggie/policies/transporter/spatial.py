@@ -1,15 +1,13 @@
-"""Features at points and about points of a map, whatever the resolution they are at.
+"""Features at and about points of a map: correlation with large kernels, turned crops, angles from phases.
 
-Cross-correlation of feature maps with large kernels of their own.
+Cross-correlation: A. Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL
+2020, section 3.2: the kernels are crops of one feature map, turned by R angles; the features are another map of the
+scene.
 
-Source: A. Zeng et al., "Transporter Networks: Rearranging the Visual World for Robotic Manipulation", CoRL 2020,
-section 3.2: the kernels are crops of one feature map, turned by R angles; the features are another map of the scene.
-
-By how much an object has to turn, from phases: a band-limited score of the angle, without rotated crops.
-
-The network gives complex channels of angular orders n = 1 .. N, as (cos, sin), at every pixel: q_n at the pick and
-k_n(y) at a place y. Where the scene turns by b, channels of order n are to be multiplied by exp(i n b). To put the
-object at y after turning it by a scores
+By how much an object has to turn is a band-limited score of the angle, without rotated crops. The network gives complex
+channels of angular orders n = 1 .. N, as (cos, sin), at every pixel: q_n at the pick and k_n(y) at a place y. Where the
+scene turns by b, channels of order n are to be multiplied by exp(i n b). To put the object at y after turning it by a
+scores
 
     S(y, a) = Σ over n and channels of Re( conj(q_n) k_n(y) exp(-i n a) )
 
@@ -19,11 +17,9 @@ turn as in `rotation`.
 Symmetry costs nothing: an object that looks the same s times a turn can only excite orders that are multiples of s (the
 others would have to equal themselves times exp(2 π i n / s), so they are zero), and then S has s equal maxima a turn.
 
-Crops of a feature map about points, turned: what an object would look like if it were turned.
-
-Angles turn from u towards v. In a height map whose columns run along x and whose rows run along y of the robot's base
-frame that is from x towards y: counterclockwise seen from above, the sign of a yaw. (On a screen, with v downwards, it
-looks clockwise.)
+Crops about points, turned, show what an object would look like if it were turned. Angles turn from u towards v. In a
+height map whose columns run along x and whose rows run along y of the robot's base frame that is from x towards y:
+counterclockwise seen from above, the sign of a yaw. (On a screen, with v downwards, it looks clockwise.)
 """
 
 from __future__ import annotations
@@ -71,7 +67,7 @@ def _direct(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
 
 
 def _spectral(features: Tensor, kernels: Tensor, shape: list[int]) -> Tensor:
-    """The same, on a map that goes on at its other side. Channels are summed in the spectrum: one inverse transform a
+    """Correlate on a map that goes on at its other side. Channels are summed in the spectrum: one inverse transform a
     rotation.
 
     The two axes of the kernels and of the scores are transformed one after the other, so that no row is that holds only
@@ -208,5 +204,5 @@ def patches(features: Tensor, centres: Tensor, size: int, stride: int) -> Tensor
 
 
 def at_points(features: Tensor, centres: Tensor, stride: int) -> Tensor:
-    """The same at the centres alone: `(B, C)`."""
+    """Features `(B, C, h, w)` of cells of `stride` pixels at centres `(B, 2)` (u, v) pixels -> `(B, C)`."""
     return patches(features, centres, 1, stride)[:, :, 0, 0]

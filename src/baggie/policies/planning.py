@@ -1,6 +1,6 @@
-"""How `keypoint` plans, whatever runs its network. Nothing here needs PyTorch.
+"""How `keypoint` and `regression` plan, whatever runs their networks: what goes in, and the plan that follows.
 
-Which part of the camera's picture a network sees, and at what size.
+Nothing here needs PyTorch.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
-from baggie.options.choices import DrawnStyle
-from baggie.policies.checkpoint import as_trained
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, seen
+from baggie.options.values import DrawnStyle
+from baggie.policies.checkpoint import at_training_size
+from baggie.types import Goal, Image, Observation, PickPlace, Plan, require_observation
 from baggie.vision.draw import paint_goal, region_mask, without_card
 
 _STRIDE = 8
@@ -92,7 +92,7 @@ class View:
         return replace(goal, corners=self.to_input(goal.corners))
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types; the picture's size is kept elsewhere."""
+        """Give the view in plain YAML types; the picture's size is kept elsewhere."""
         edges = {"left": self.left, "top": self.top, "right": self.right, "bottom": self.bottom}
         return {**edges, "size": list(self.size)}
 
@@ -125,7 +125,7 @@ _VIEW_SCALE = 4
 _POINTED_CELLS = 10.0
 """An object that is pointed at is looked for within so many cells: some 10 cm on a table, less than to the next bag."""
 _ANYWHERE = np.array([0.0, 0.0, 1e4], np.float32)
-LONG = 1.25
+LONG_RATIO = 1.25
 """What is seen so many times longer than wide, an object or a goal, is long."""
 
 
@@ -148,7 +148,7 @@ class Reading(NamedTuple):
     """`(N, 2)`: the goal's corners on the table, metres."""
 
 
-Read = Callable[[NDArray[np.uint8], Float32, Float32], Reading]
+KeypointRead = Callable[[NDArray[np.uint8], Float32, Float32], Reading]
 """Runs the network: `(1, C, H, W)` images, `(3,)` near, `(N, 2)` corners; see `KeypointReader`."""
 
 
@@ -164,7 +164,7 @@ class GoalInput:
 
     @property
     def channels(self) -> int:
-        """Of the network's input."""
+        """Channels of the network's input."""
         return 4 if self.kind == "region" else 3
 
     def network_input(self, cut: Image, goal: Goal) -> Image:
@@ -181,12 +181,12 @@ class GoalInput:
         return np.concatenate([cut.transpose(2, 0, 1), region_mask(goal.corners, (width, height))[None]])
 
     def config(self) -> dict[str, Any]:
-        """In plain YAML types."""
+        """Give the settings in plain YAML types."""
         return {"kind": self.kind, "style": self.style, "color": list(self.color)}
 
     @classmethod
     def of(cls, config: dict[str, Any]) -> GoalInput:
-        """The inverse of `config`."""
+        """Build it from what `config` gives."""
         red, green, blue = (int(value) for value in config["color"])
         return cls(config["kind"], config["style"], (red, green, blue))
 
@@ -196,8 +196,8 @@ def to_picture(view: View) -> FloatArray:
     return view.normalize() @ view.from_input() @ CELLS_TO_INPUT
 
 
-def plan(
-    read: Read,
+def keypoint_plan(
+    read: KeypointRead,
     view: View,
     goal_input: GoalInput,
     observation: Observation,
@@ -212,8 +212,8 @@ def plan(
     the smaller of the two. Raises `BaggieError` when no bag is in sight, or when the goal, or what is pointed at, lies
     outside the part of the picture in which the training attempts took place.
     """
-    size = seen(observation).size
-    picture, goal = as_trained(observation, goal, view.picture, camera_size)
+    size = require_observation(observation).size
+    picture, goal = at_training_size(observation, goal, view.picture, camera_size)
     _check_view(view, goal.corners, "the goal", size)
     near = _ANYWHERE
     if goal.object_at is not None:
@@ -252,7 +252,7 @@ def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
     along = float((length * np.abs(np.cos(direction - yaw))).sum())
     across = float((length * np.abs(np.sin(direction - yaw))).sum())
     turn = math.pi / 2
-    if symmetry == 2 and max(along, across) > LONG * min(along, across):
+    if symmetry == 2 and max(along, across) > LONG_RATIO * min(along, across):
         yaw, turn = yaw + (math.pi / 2 if across > along else 0.0), math.pi
     return yaw + turn * round((pick_yaw - yaw) / turn)
 
@@ -276,3 +276,44 @@ def _over_picture(view: View, heat: Float32) -> Float32:
     shrink = np.array([[1 / _VIEW_SCALE, 0, offset], [0, 1 / _VIEW_SCALE, offset], [0, 0, 1]])
     place = shrink @ view.from_input() @ CELLS_TO_INPUT
     return np.asarray(cv2.warpAffine(heat / heat.max(), place[:2], (width, height)), np.float32)
+
+
+REGRESSION_SIDE = 224
+"""The network's input is this many pixels wide and high, whatever the shape of the picture."""
+
+RegressionRead = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+"""Runs the network: `(1, 3, 224, 224)` images -> `(1, 2, 2)`: (pick, place) x (x, y), metres."""
+
+
+def regression_goal_input(model: Mapping[str, Any]) -> GoalInput:
+    """How goals are painted, by a config's `model`."""
+    red, green, blue = (int(value) for value in model["goal_color"])
+    return GoalInput("painted", model["goal_style"], (red, green, blue))
+
+
+def regression_input(drawn: GoalInput, picture: Image, goal: Goal) -> Image:
+    """A picture and its goal -> `(3, 224, 224)` uint8 with the goal painted in it."""
+    small = np.asarray(
+        cv2.resize(picture, (REGRESSION_SIDE, REGRESSION_SIDE), interpolation=cv2.INTER_AREA), np.uint8
+    )
+    height, width = picture.shape[:2]
+    return drawn.network_input(small, goal.scaled(REGRESSION_SIDE / width, REGRESSION_SIDE / height))
+
+
+def regression_plan(
+    read: RegressionRead,
+    drawn: GoalInput,
+    picture_size: tuple[int, int],
+    observation: Observation,
+    goal: Goal,
+    *,
+    camera_size: tuple[int, int],
+) -> Plan:
+    """Pick and place positions; yaw 0 and confidence 1, as it has no word on either.
+
+    `picture_size`: `(width, height)` of the training pictures, which a camera took at `camera_size`; pixels. Raises
+    `BaggieError` as `at_training_size` does.
+    """
+    image = regression_input(drawn, *at_training_size(observation, goal, picture_size, camera_size))
+    pick, place = read(image[None])[0]
+    return Plan(PickPlace(PlanarPose(*map(float, pick)), PlanarPose(*map(float, place))))

@@ -1,10 +1,9 @@
-"""The published regressor: a ResNet-18 that turns a picture with the goal painted in it into two numbers.
+"""The published regressor: a ResNet-18 turns a picture with the goal painted in it into x and y, of pick and of place.
 
 It is the baseline to beat, kept as published: 7.8 cm off when picking, 5.8 cm when placing.
 
-ResNet-18, with the parameter names under which its ImageNet weights are published.
-
-Source: K. He, X. Zhang, S. Ren, J. Sun, "Deep residual learning for image recognition", CVPR 2016.
+The ResNet-18 has the parameter names under which its ImageNet weights are published. Source: K. He, X. Zhang, S. Ren,
+J. Sun, "Deep residual learning for image recognition", CVPR 2016.
 """
 
 from __future__ import annotations
@@ -24,11 +23,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from baggie.errors import DataError
-from baggie.options.choices import DrawnStyle, Statistics
-from baggie.policies.keypoint.plan import GoalInput
+from baggie.options.values import DrawnStyle, Statistics
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.regression.plan import goal_input, network_input, plan
-from baggie.types import Goal, Image, Observation, Plan, marked
+from baggie.policies.planning import GoalInput, regression_goal_input, regression_input, regression_plan
+from baggie.types import Goal, Image, Observation, Plan, require_goal
+
+__path__: list[str] = []
+"""Lets Python look below here for what `baggie.moved` gives: `baggie.policies.regression.policy`, this file before."""
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -206,27 +207,27 @@ class RegressionPolicy(LearnedPolicy):
     @classmethod
     def build(cls, model: Mapping[str, Any], picture_size: tuple[int, int], cell: int) -> Self:
         """The policy with an untrained network."""
-        drawn = goal_input(model)
+        drawn = regression_goal_input(model)
         network = RegressionNet(model.get("statistics", "running"))
         return cls(network, picture_size, cell, drawn.style, drawn.color)
 
     def painted(self, picture: Image, goal: Goal) -> Image:
         """A picture at its trained size and its goal -> `(224, 224, 3)` uint8 with the goal painted in it."""
-        return network_input(self.goal_input, picture, goal).transpose(1, 2, 0)
+        return regression_input(self.goal_input, picture, goal).transpose(1, 2, 0)
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Pick and place positions; see `regression_plan.plan`, whose errors it raises."""
-        return plan(
+        """Pick and place positions; see `regression_plan`, whose errors it raises."""
+        return regression_plan(
             self.read,
             self.goal_input,
             self.picture_size,
             observation,
-            marked(goal),
+            require_goal(goal),
             camera_size=self.camera_size,
         )
 
     def read(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Run the network; see `regression_plan.Read`."""
+        """Run the network; see `RegressionRead`."""
         self.network.eval()
         with torch.inference_mode():
             found: Tensor = self.network(torch.from_numpy(images).to(self.device))

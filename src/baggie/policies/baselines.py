@@ -1,8 +1,9 @@
-"""The baseline: find the object by its colour and map pixels to the robot with a calibration."""
+"""Policies that nobody trains: one goes by the object's colour and a calibration, the others are told the truth."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,10 +15,10 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, DataError
 from baggie.files import read_yaml, write_text
 from baggie.geometry import FloatArray, PlanarPose, wrap_angle
-from baggie.options.choices import COLOR_MASK
+from baggie.options.values import COLOR_MASK, ORACLE
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.types import Goal, Observation, PickPlace, Plan, marked, seen
+from baggie.types import Goal, Observation, PickPlace, Plan, require_goal, require_observation
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
@@ -39,8 +40,8 @@ class ColorMaskPolicy(Policy):
         Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
         picture has another shape than those the map was fitted to.
         """
-        width, height = seen(observation).size
-        goal = marked(goal)
+        width, height = require_observation(observation).size
+        goal = require_goal(goal)
         u, v = goal.center
         if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
             raise BaggieError(
@@ -100,3 +101,27 @@ def _goal_yaw(goal: Goal) -> float:
     """Image angle of the goal's edges, radians in [-pi/4, pi/4)."""
     _, _, degrees = cv2.minAreaRect(goal.corners.astype(np.float32))
     return wrap_angle(math.radians(degrees), math.pi / 2)
+
+
+class OraclePolicy(Policy):
+    """Does what a demonstrator, who knows where everything is, does next. For evaluation in simulation only.
+
+    cell.give_goal(goal)
+    policy = OraclePolicy(cell.demonstrate)
+    """
+
+    name = ORACLE
+
+    def __init__(self, next_action: Callable[[], PickPlace | None]) -> None:
+        """`next_action` is asked at every plan; None when all is done."""
+        self.next_action = next_action
+
+    def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
+        """Plan the next pick and place; neither the picture nor the goal in it is looked at.
+
+        Raises `BaggieError` when nothing is left to do.
+        """
+        action = self.next_action()
+        if action is None:
+            raise BaggieError("expected something left to do, but the task is done; begin another scene")
+        return Plan(action)

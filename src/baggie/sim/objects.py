@@ -1,23 +1,25 @@
-"""Rigid things made of boxes: blocks that can be carried and stacked, fixtures that stay where they are put.
+"""What can lie on the table: what every object promises, and the rigid ones, which are made of boxes.
 
-They take another size and colour in a model that is built already: building one takes a second.
+Rigid objects take another size and colour in a model that is built already: building one takes a second.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
-from baggie.sim.things import Pose
+from baggie.types import Image
 
 if TYPE_CHECKING:
     import mujoco
 
+Pose = PlanarPose | FloatArray
+"""Flat on the table, or `T_base_body` `(4, 4)`."""
 Size = tuple[float, float, float]
 Color = tuple[int, int, int]
 
@@ -26,6 +28,78 @@ CUP_RADIUS_M = 0.01
 """Of the suction cup that carries blocks."""
 # Stacks stand still on contacts that are as stiff as steps of 4 ms allow, without friction that creeps.
 _CONTACT = 'friction="0.8 0.005 0.0001" solref="0.01 1" solimp="0.95 0.99 0.001" condim="3"'
+
+
+class Body(Protocol):
+    """An object in a running simulation."""
+
+    settle_s: float
+    """Seconds after which it lies still where it was put."""
+
+    def pose(self) -> FloatArray:
+        """`T_base_body` `(4, 4)` now; of a soft one, the upright motion that explains its points best."""
+        ...
+
+    def planar_pose(self) -> PlanarPose:
+        """Where its middle is above the table, and which way its x axis points there."""
+        ...
+
+    def top_m(self) -> float:
+        """Height of its highest point above the table."""
+        ...
+
+    def bottom_m(self) -> float:
+        """Height of its lowest point above the table."""
+        ...
+
+    def put(self, pose: Pose, *, undented: bool) -> None:
+        """Lay it somewhere, at rest, without time passing; the dents of a soft one stay unless `undented`."""
+        ...
+
+    def carry_along(self, turn: Rotation, shift: FloatArray) -> None:
+        """Move it with the table: turned about the base frame's origin and then shifted by `(3,)` metres."""
+        ...
+
+
+class SceneObject(Protocol):
+    """What a person would name: a bag, a block, a stand."""
+
+    @property
+    def name(self) -> str:
+        """Its name, unique among all on a table."""
+        ...
+
+    @property
+    def soft(self) -> bool:
+        """Whether it gives way."""
+        ...
+
+    @property
+    def movable(self) -> bool:
+        """Whether it can be picked up."""
+        ...
+
+    def assets(self) -> str:
+        """Its textures and materials, XML."""
+        ...
+
+    def xml(self) -> str:
+        """Its body, XML."""
+        ...
+
+    def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
+        """Give its textures their pictures."""
+        ...
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> Body:
+        """Find it in a world that has been built with it."""
+        ...
+
+
+def paint(model: mujoco.MjModel, texture: str, picture: Image) -> None:
+    """Put a picture `(H, W, 3)` in the place of a texture of that size."""
+    start = model.tex_adr[model.texture(texture).id]
+    model.tex_data[start : start + picture.size] = picture.ravel()
 
 
 @dataclass(frozen=True)
@@ -66,7 +140,7 @@ class Block:
         return float(self.density * sum(np.prod(part.size_m) for part in self.parts))
 
     def assets(self) -> str:
-        """None: it has one colour a box."""
+        """Give none: it has one colour a box."""
         return ""
 
     def xml(self) -> str:
@@ -83,7 +157,7 @@ class Block:
     </body>"""
 
     def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
-        """Nothing: it has no texture."""
+        """Paint nothing: it has no texture."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
         """Find it in a world that has been built with it."""
@@ -101,7 +175,7 @@ class Fixture:
     movable: ClassVar[bool] = False
 
     def assets(self) -> str:
-        """None: it has one colour a box."""
+        """Give none: it has one colour a box."""
         return ""
 
     def xml(self) -> str:
@@ -116,7 +190,7 @@ class Fixture:
     </body>"""
 
     def paint(self, model: mujoco.MjModel, rng: np.random.Generator) -> None:
-        """Nothing: it has no texture."""
+        """Paint nothing: it has no texture."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> RigidBody:
         """Find it in a world that has been built with it."""

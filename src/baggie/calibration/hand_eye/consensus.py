@@ -1,6 +1,6 @@
-"""Which views of a hand-eye recording agree with each other, and what is wrong where too few do.
+"""Which views of a hand-eye recording agree with each other, what is wrong where too few do, and the lens's share.
 
-What the lens's own uncertainty does to a hand-eye calibration: the same error in every view, which no view shows.
+The lens's own uncertainty is the same error in every view, which no view shows, and so is added to the fit's.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ def lens_share(views: HandEyeViews, pair: Pair) -> FloatArray:
 
 
 def _moved(lens: Intrinsics, parameter: int, by: float) -> Intrinsics:
-    """With one of fx, fy, cx, cy and then the distortion moved."""
+    """Move one parameter of a lens: fx, fy, cx, cy, then the distortion."""
     matrix, distortion = lens.matrix.copy(), lens.distortion.copy()
     distortion.resize(max(5, distortion.size))  # zeros, where `np.resize` would begin again
     if parameter < 4:

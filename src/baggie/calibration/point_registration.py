@@ -35,7 +35,7 @@ def distances(T_a_b: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(b @ T_a_b[:3, :3].T + T_a_b[:3, 3] - a, axis=1))
 
 
-def spread(points: FloatArray) -> float:
+def centroid_size(points: FloatArray) -> float:
     """Root of the summed squared distances from the middle, metres."""
     return float(np.linalg.norm(points - points.mean(axis=0)))
 
@@ -46,7 +46,7 @@ def in_line(points: FloatArray) -> bool:
     return bool(sizes[1] <= 0.1 * sizes[0])
 
 
-def agreeing(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
+def inliers(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
     """`(N,)`: which of N points agree on one motion and one scale; all of them where N is below five.
 
     Least trimmed squares (Rousseeuw & Van Driessen, "Computing LTS Regression for Large Data Sets", 2006) from triples

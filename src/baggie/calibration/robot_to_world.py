@@ -1,10 +1,9 @@
-"""Where the world is for a robot, from points of it that the arm's tool was led or driven to; and so the camera.
+"""The pose of the world for a robot, from points of it that the arm's tool was led or driven to; and so the camera's.
 
 Either its origin, a point on its x axis and one on its y axis, or any points whose place in the world is known. The
 published system builds its matrix from the three points' differences as they are, so that its third column is no
-rotation's; here it is a proper one, right-handed.
-
-With it a camera that knows the world is somewhere for the robot: the two calibrations composed.
+rotation's; here it is a proper one, right-handed. Composed with a camera's pose in the world it gives the camera's pose
+for the robot.
 """
 
 from __future__ import annotations
@@ -17,19 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import fdtri
 
+from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.files import Calibration, CameraCalibrated, CameraIdentity
-from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
-from baggie.calibration.world.camera_to_world import CameraToWorld
-from baggie.calibration.world.touches import (
-    agreeing,
+from baggie.calibration.point_registration import (
     axes_covariance,
+    centroid_size,
     distances,
     fit_rigid,
     from_axes,
     in_line,
+    inliers,
     rigid_covariance,
-    spread,
 )
+from baggie.calibration.pose import UncertainTransform, pose_from_yaml, squared_radius, uncertainty_to_yaml
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, difference, transform_points
 
@@ -87,7 +86,7 @@ class RobotToWorld(Calibration):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "frames": "world: as touched; base: x forward, y left, z up",
             "units": "metres, radians",
@@ -130,7 +129,7 @@ class CameraToRobot(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "camera": self.camera.to_yaml(),
             "frames": "base: x forward, y left, z up; camera: x right, y down, z ahead",
@@ -147,7 +146,7 @@ class CameraToRobot(CameraCalibrated):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CalibrationComparison:
     """How far apart two calibrations of the same camera and robot are."""
 
     mm: float
@@ -167,12 +166,12 @@ def compose(camera_to_world: CameraToWorld, robot_to_world: RobotToWorld) -> Cam
     return CameraToRobot(camera_to_world.camera, pose, "camera-to-world and robot-to-world composed")
 
 
-def compare(a: CameraToRobot, b: CameraToRobot) -> Comparison:
+def compare_calibrations(a: CameraToRobot, b: CameraToRobot) -> CalibrationComparison:
     """Compare two calibrations. Raises `CalibrationError` when they are of different cameras or resolutions."""
     a.camera.check(b.camera, "the first calibration")
     metres, radians = difference(a.pose.transform, b.pose.transform)
     together = UncertainTransform(a.pose.transform, a.pose.covariance + b.pose.covariance)
-    return Comparison(metres * 1000, float(np.degrees(radians)), together.holds(b.pose.transform))
+    return CalibrationComparison(metres * 1000, float(np.degrees(radians)), together.holds(b.pose.transform))
 
 
 def fit_from_axes(
@@ -230,7 +229,7 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
     """
     world, base = (_finite(np.asarray(points, float).reshape(-1, 3)) for points in (world, base))
     _check_points(world, base)
-    used = agreeing(world, base)
+    used = inliers(world, base)
     T_world_base = fit_rigid(world[used], base[used])
     _check_handed(world, base, T_world_base)
     _check_agreement(used, distances(T_world_base, world, base))
@@ -245,10 +244,10 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
     covariance = rigid_covariance(T_world_base, base[used], np.sqrt(variance))
     pose = UncertainTransform(T_world_base, covariance)
     touches = tuple(_touches(world, base, used, T_world_base))
-    scale = spread(base[used]) / spread(world[used])
+    scale = centroid_size(base[used]) / centroid_size(world[used])
     off = distances(fit_rigid(world[used], base[used] / scale), world[used], base[used] / scale)
     scatter = np.sqrt((off**2).sum() / (3 * count - 7))
-    scale_std = max(float(scatter), touch_std_m) / spread(world[used])
+    scale_std = max(float(scatter), touch_std_m) / centroid_size(world[used])
     return RobotToWorld(pose, touches, None, scale, tuple(_point_warnings(touches, scale, scale_std)))
 
 
@@ -266,7 +265,7 @@ def _check_points(world: FloatArray, base: FloatArray) -> None:
             f"expected three or more points, each stated and touched, got {len(world)} and {len(base)}; touch more"
         )
     for points, which in ((world, "stated"), (base, "touched")):
-        if in_line(points) or spread(points) < _MIN_LENGTH_M:
+        if in_line(points) or centroid_size(points) < _MIN_LENGTH_M:
             raise CalibrationError(
                 f"expected points spread over the table, got {which} points nearly in line or within "
                 f"{_MIN_LENGTH_M * 100:.0f} cm of one; touch others, 30 cm apart if you can"
@@ -283,7 +282,7 @@ def _check_upright(R_base_world: FloatArray) -> None:
 
 def _check_handed(world: FloatArray, base: FloatArray, T_world_base: FloatArray) -> None:
     mirrored = world * [1.0, 1.0, -1.0]
-    agree = agreeing(mirrored, base)
+    agree = inliers(mirrored, base)
     as_stated = np.median(distances(T_world_base, world, base))
     in_mirror = np.median(distances(fit_rigid(mirrored[agree], base[agree]), mirrored, base))
     if in_mirror < as_stated / 3 and as_stated > _MIRRORED_M:

@@ -30,7 +30,7 @@ from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, difference, invert_transform
 from baggie.types import Intrinsics
 from baggie.vision.corners import FLAT, Sag
-from baggie.vision.targets import MIN_CORNERS, Chessboard, Marker, Seen, Target
+from baggie.vision.targets import MIN_CORNERS, ArucoMarker, Chessboard, Target, TargetDetection
 
 T_WORLD_TARGET: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0])
 """`(4, 4)`: the target's frame, z into the paper, in a world with z up and the same origin and x."""
@@ -98,7 +98,7 @@ class CameraToWorld(CameraCalibrated):
         }
 
     def to_yaml(self) -> dict[str, Any]:
-        """As it stands in a file."""
+        """Give the content of a file in plain YAML types."""
         return {
             "camera": self.camera.to_yaml(),
             "frames": "world: z up, out of the paper; camera: x right, y down, z ahead",
@@ -128,7 +128,7 @@ class CameraToWorld(CameraCalibrated):
 
 
 def fit_camera_to_world(
-    frames: Sequence[Seen],
+    frames: Sequence[TargetDetection],
     target: Target,
     camera: CameraIdentity,
     intrinsics: Intrinsics,
@@ -153,7 +153,7 @@ def fit_camera_to_world(
     CameraIdentity(camera.name, intrinsics.width, intrinsics.height).check(camera, "the lens calibration")
     _check_pictures(frames, camera, depths)
     names = names or [str(number) for number in range(len(frames))]
-    still = average(frames, 4 if isinstance(target, Marker) else MIN_CORNERS)
+    still = average(frames, 4 if isinstance(target, ArucoMarker) else MIN_CORNERS)
     first = fit_pose(still.points, still.pixels, intrinsics)
     corners = still.points[first.inliers]
     poses = both_planar_poses(corners, still.pixels[first.inliers], intrinsics)
@@ -190,7 +190,7 @@ def fit_camera_to_world(
 
 
 def _check_pictures(
-    frames: Sequence[Seen], camera: CameraIdentity, depths: Sequence[NDArray[np.float32]]
+    frames: Sequence[TargetDetection], camera: CameraIdentity, depths: Sequence[NDArray[np.float32]]
 ) -> None:
     if not frames:
         raise CalibrationError(
@@ -235,7 +235,7 @@ def _by_depth(measured: MeasuredDepth | None, poses: Sequence[tuple[FloatArray, 
 
 def _judge(
     names: Sequence[str],
-    frames: Sequence[Seen],
+    frames: Sequence[TargetDetection],
     still: StillFrames,
     pose: FloatArray,
     intrinsics: Intrinsics,
@@ -303,7 +303,7 @@ class _Corner:
     """In how many frames."""
 
 
-def average(frames: Sequence[Seen], needed: int) -> StillFrames:
+def average(frames: Sequence[TargetDetection], needed: int) -> StillFrames:
     """Average frames, leaving out those in which the corners moved by more than a pixel.
 
     Raises `CalibrationError` when half of them or more moved, or fewer than `needed` corners, or only corners on one
@@ -334,7 +334,7 @@ def average(frames: Sequence[Seen], needed: int) -> StillFrames:
     return StillFrames(points, np.array([corner.pixel for corner in kept]), moved, used)
 
 
-def _medians(frames: Sequence[Seen]) -> dict[int, _Corner]:
+def _medians(frames: Sequence[TargetDetection]) -> dict[int, _Corner]:
     ids = np.concatenate([frame.ids for frame in frames])
     points = np.concatenate([frame.points for frame in frames])
     pixels = np.concatenate([frame.pixels for frame in frames])
@@ -345,7 +345,7 @@ def _medians(frames: Sequence[Seen]) -> dict[int, _Corner]:
     return corners
 
 
-def _moved(frame: Seen, middle: dict[int, _Corner]) -> float:
+def _moved(frame: TargetDetection, middle: dict[int, _Corner]) -> float:
     """Pixels; infinite where a frame shows none of the others' corners."""
     shared = [
         np.linalg.norm(pixel - middle[int(number)].pixel)
