@@ -11,6 +11,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
+    "baggie.cameras.opening": "baggie.cameras",
     "baggie.data.ravens_agent": "baggie.ravens.agent",
     "baggie.evaluation.metrics": "baggie.metrics",
     "baggie.evaluation.results": "baggie.results",
@@ -24,7 +25,7 @@ MOVED = {
     "baggie.workcell.camera": "baggie.cameras.camera",
     "baggie.workcell.camera_contract": "baggie.cameras.camera",
     "baggie.workcell.cameras": "baggie.cameras",
-    "baggie.workcell.cameras.opening": "baggie.cameras.opening",
+    "baggie.workcell.cameras.opening": "baggie.cameras",
     "baggie.workcell.cameras.settings": "baggie.cameras.camera",
     "baggie.workcell.handling_rules": "baggie.robot.handling_rules",
     "baggie.workcell.limits": "baggie.robot.limits",

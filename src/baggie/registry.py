@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from baggie.errors import BaggieError, BaggieWarning
 
 if TYPE_CHECKING:
+    from baggie.cameras.camera import CameraEntry
+    from baggie.robot.arm import ArmEntry
     from baggie.tasks.task import Task
 
 T = TypeVar("T")
@@ -115,3 +117,30 @@ TASKS: Registry[Task] = Registry(
     "task",
 )
 """What has to be done: a new one is one file and one line here, or an entry point of another package."""
+
+ARMS: Registry[type[ArmEntry]] = Registry(
+    "baggie.arms",
+    {
+        "sim": "baggie.workcell.workcell_file:SimulatedEntry",
+        "replay": "baggie.workcell.workcell_file:ReplayEntry",
+        "franka": "baggie.robot.franka:FrankaEntry",
+        "lerobot": "baggie.robot.lerobot:LeRobotEntry",
+        "python": "baggie.robot.python_devices:PythonArmEntry",
+    },
+    "arm",
+)
+"""What a workcell file says of an arm, by the `kind` that it gives there."""
+
+CAMERAS: Registry[type[CameraEntry]] = Registry(
+    "baggie.cameras",
+    {
+        "sim": "baggie.workcell.workcell_file:SimulatedCameraEntry",
+        "opencv": "baggie.cameras:OpenCVSettings",
+        "realsense": "baggie.cameras:RealSenseSettings",
+        "orbbec": "baggie.cameras:OrbbecSettings",
+        "k4a": "baggie.cameras:AzureKinectSettings",
+        "python": "baggie.robot.python_devices:PythonCameraEntry",
+    },
+    "camera",
+)
+"""What a workcell file says of a camera, likewise."""

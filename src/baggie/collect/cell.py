@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError
@@ -19,12 +19,12 @@ from baggie.options.collecting import CollectOptions
 from baggie.registry import TASKS
 from baggie.robot.arm import Arm
 from baggie.types import Observation, Outcome, PickPlace
+from baggie.workcell.config import open_written
 from baggie.workcell.workcell import Calibrations, Watch, WorkcellSettings
-
-if TYPE_CHECKING:
-    from baggie.workcell.workcell_file import WorkcellFile
+from baggie.workcell.workcell_file import SIMULATED, WorkcellFile, read_workcell_file
 
 
+@runtime_checkable
 class CollectorCell(Protocol):
     """A workcell that can start a sitting afresh and be put right when the object is lost."""
 
@@ -79,7 +79,6 @@ class CollectorCell(Protocol):
 
 OpenCell = Callable[[int], CollectorCell]
 """Opens the cell with a number; picklable, because each worker process opens its own."""
-SIMULATED = "simulated FR3"
 
 
 def open_simulated_cell(
@@ -93,22 +92,15 @@ def open_simulated_cell(
 
 def open_written_cell(written: WorkcellFile, path: Path, number: int) -> CollectorCell:
     """The workcell `written` in a file. Raises `BaggieError` for one that cannot be used, or of another cell."""
-    from baggie.workcell.config import RealWorkcell, open_written  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415
-
     cell = open_written(written, path)
-    if isinstance(cell, RealWorkcell):
-        return cell
-    if not isinstance(cell, SimulatedWorkcell):
+    if not isinstance(cell, CollectorCell):
         cell.close()
         raise BaggieError(
             f"expected {path} to describe a workcell with an arm, to collect in; a recording has none"
         )
-    if cell.world.cell.number != number:
+    if not written.arm.real and written.cell != number:
         cell.close()
-        raise BaggieError(
-            f"{path} describes cell {cell.world.cell.number}, not {number}; give --cell to match"
-        )
+        raise BaggieError(f"{path} describes cell {written.cell}, not {number}; give --cell to match")
     return cell
 
 
@@ -137,24 +129,10 @@ def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict
             lambda: SIMULATED,
             {},
         )
-    from baggie.workcell.workcell_file import REAL_ARMS, read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
-
     path = options.workcell
     written = read_workcell_file(path)
-    if isinstance(written.arm, REAL_ARMS) and options.workers not in (None, 1):
+    if written.arm.real and options.workers not in (None, 1):
         raise BaggieError(f"expected --workers 1 with {path}, which has one arm, got {options.workers}")
     table = {**written.model_dump(mode="json", include={"workspace"}), "bag": written.bag.recorded()}
     opener = functools.partial(open_written_cell, written, path)
-    return opener, functools.partial(robot_of, written, path), {"workcell": table}
-
-
-def robot_of(written: WorkcellFile, path: Path) -> str:
-    """What moves in the workcell `written` in a file. Raises `BaggieError` where its arm cannot be made here."""
-    from baggie.robot.franka.models import MODELS  # noqa: PLC0415
-    from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time
-    from baggie.workcell.workcell_file import FrankaEntry  # noqa: PLC0415
-
-    if isinstance(written.arm, FrankaEntry):  # whatever its address
-        return MODELS[written.arm.model].title
-    arm = arm_of(written, path)
-    return SIMULATED if arm is None else arm.name
+    return opener, functools.partial(written.arm.title, path.parent), {"workcell": table}

@@ -15,7 +15,7 @@ import cv2
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.cell import SIMULATED, CollectorCell, OpenCell, what_opens
+from baggie.collect.cell import CollectorCell, OpenCell, what_opens
 from baggie.collect.demonstrations import record_demonstrations
 from baggie.collect.sitting import ATTEMPTS_PER_SITTING, PAUSES_S, Awaited, Patience, Recording, run_sitting
 from baggie.collect.summary import draw_coverage, summarize
@@ -30,6 +30,7 @@ from baggie.processes import Executor, LocalProcesses, OpenWorker
 from baggie.registry import TASKS
 from baggie.types import Attempt
 from baggie.workcell.workcell import Watch
+from baggie.workcell.workcell_file import SIMULATED
 
 COVERAGE_FILE = "coverage.png"
 

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.collect.cell import SIMULATED
 from baggie.collect.sitting import Recording
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.data.record import fit, without_depth
@@ -27,6 +26,7 @@ from baggie.seeds import generator
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.tasks.task import Task
 from baggie.types import Attempt, Observation, Outcome, PickPlace
+from baggie.workcell.workcell_file import SIMULATED
 
 _NOT_LOOKED_FOR = np.full((4, 2), np.nan)
 ROBOTS = {"cup": "simulated FR3 with a suction cup", "hand": SIMULATED}

@@ -17,8 +17,8 @@ import numpy as np
 
 from baggie import seeds
 from baggie.calibration.files import VIEWS_FILE, CameraIdentity, read_views_file
-from baggie.cameras.camera import Camera, CameraSettings
-from baggie.cameras.opening import open_camera
+from baggie.cameras import open_camera, settings_of
+from baggie.cameras.camera import Camera
 from baggie.commissioning.assistant import Assistant, Person
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_text
@@ -81,7 +81,7 @@ def open_bench(
     operator = operator or TerminalOperator()
     person = Person(operator, prepared=prepared)
     if options.camera is not None:
-        camera = open_camera(CameraSettings.from_words(options.camera))
+        camera = open_camera(settings_of(options.camera))
         try:
             yield Bench(camera, None, person, operator)
         finally:

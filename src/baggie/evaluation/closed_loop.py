@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import torch
 
-from baggie.collect.cell import robot_of
 from baggie.errors import BaggieError
 from baggie.evaluation.bag_place import BAGS
 from baggie.evaluation.block_episode import BLOCKS
@@ -121,7 +120,7 @@ def _robot(options: EvaluateOptions) -> dict[str, Any]:
         return {}
     from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
-    return {"robot": robot_of(read_workcell_file(options.workcell), options.workcell)}
+    return {"robot": read_workcell_file(options.workcell).arm.title(options.workcell.parent)}
 
 
 def _same_evaluation(options: EvaluateOptions, conditions: Mapping[str, Any]) -> None:

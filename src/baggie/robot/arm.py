@@ -1,12 +1,17 @@
-"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods."""
+"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods.
+
+What a person writes down about an arm: the section `arm` of a workcell file.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, runtime_checkable
+from pathlib import Path
+from typing import ClassVar, Protocol, runtime_checkable
 
+from baggie.entries import Section
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
 
 CLEAR_Z_M = 0.1
@@ -107,3 +112,45 @@ def foresee(arm: Arm, way: Sequence[ToolPose]) -> float:
     if isinstance(arm, ForeseeingArm):
         return arm.foresee(way)
     return sum(abs(wrap_angle(after.yaw - before.yaw)) for before, after in pairwise([arm.pose(), *way]))
+
+
+class ArmEntry(Section):
+    """The section `arm` of a workcell file, of one kind. `baggie.registry.ARMS` has a subclass for each."""
+
+    kind: str
+    """The word it is registered by."""
+
+    real: ClassVar[bool] = True
+    """Whether it is a robot, of which there is one, and which needs a real camera."""
+    about: ClassVar[str] = ""
+    """What it is, in a few words, for a person who chooses."""
+
+    def open(self, folder: Path) -> Arm:
+        """Make the arm, which connects at its first use; paths in the section begin in `folder`.
+
+        Raises `BaggieError` where it cannot be made here.
+        """
+        raise NotImplementedError
+
+    def info(self, folder: Path) -> ArmInfo | None:
+        """What the arm can do, nothing connected; None for one that is not real. Raises as `open` does."""
+        arm = self.open(folder)
+        let_go(arm)
+        return arm.info
+
+    def title(self, folder: Path) -> str:
+        """What a recording says moved. Raises as `open` does."""
+        info = self.info(folder)
+        return self.kind if info is None else info.name
+
+
+@runtime_checkable
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+def let_go(*devices: object) -> None:
+    """Close those arms and cameras that have a `close`."""
+    for device in devices:
+        if isinstance(device, _Closable):
+            device.close()

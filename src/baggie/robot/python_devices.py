@@ -1,4 +1,4 @@
-"""An arm or a camera of one's own, found by its dotted name."""
+"""An arm or a camera of one's own, found by its dotted name; what a workcell file says of either."""
 
 from __future__ import annotations
 
@@ -7,11 +7,45 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-from baggie.cameras.camera import Camera
+from pydantic import ConfigDict, Field
+
+from baggie.cameras.camera import Camera, CameraEntry
 from baggie.errors import BaggieError
-from baggie.robot.arm import Arm, ArmInfo
+from baggie.robot.arm import Arm, ArmEntry, ArmInfo
+
+FACTORY = r"^[\w.]+:\w+$"
+
+
+class PythonArmEntry(ArmEntry):
+    """An arm of one's own. Every other entry is an option of its factory."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    about: ClassVar[str] = "one of your own"
+    factory: str = Field(pattern=FACTORY)
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+
+    def open(self, folder: Path) -> Arm:
+        """Make the arm. Raises as `open_python_arm` does."""
+        return open_python_arm(self.factory, self.model_extra or {}, folder)
+
+
+class PythonCameraEntry(CameraEntry):
+    """A camera of one's own, likewise."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    about: ClassVar[str] = "one of your own"
+    factory: str = Field(pattern=FACTORY)
+    """`my_lab.my_camera:open_camera`."""
+
+    def open(self, folder: Path) -> Camera:
+        """Make the camera. Raises as `open_python_camera` does."""
+        return open_python_camera(self.factory, self.model_extra or {}, folder)
 
 
 def open_python_arm(factory: str, options: Mapping[str, Any], folder: Path) -> Arm:
