@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import baggie
-from baggie.cameras import OpenCVSettings, RealSenseSettings
+from baggie.cameras import OpenCVSettings, PythonCameraEntry, RealSenseSettings
 from baggie.commissioning.new_workcell import ASKED, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
@@ -16,7 +16,6 @@ from baggie.options.workcells import NewWorkcellOptions
 from baggie.registry import ARMS, CAMERAS
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
-from baggie.robot.python_devices import PythonCameraEntry
 from baggie.workcell.workcell_file import (
     Bag,
     ReplayEntry,

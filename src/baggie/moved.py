@@ -17,6 +17,7 @@ MOVED = {
     "baggie.evaluation.results": "baggie.results",
     "baggie.grid": "baggie.geometry",
     "baggie.lab.control": "baggie.lab.web",
+    "baggie.robot.python_devices": "baggie.robot.arm",
     "baggie.sim.arm_model": "baggie.robot.kinematics",
     "baggie.sim.kinematics": "baggie.robot.kinematics",
     "baggie.vision.picture_files": "baggie.pictures",

@@ -6,15 +6,17 @@ Their makers' packages are imported when a camera is opened.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from baggie.cameras.camera import CameraSettings, OpenCamera
+from pydantic import ConfigDict, Field
+
+from baggie.cameras.camera import Camera, CameraEntry, CameraSettings, OpenCamera
 from baggie.cameras.live import LiveCamera, Stream
 from baggie.cameras.opencv import OpenCVStream, VideoFile, is_live
-from baggie.errors import CameraError, explained, install_extra
-from baggie.registry import CAMERAS
+from baggie.errors import BaggieError, CameraError, explained, install_extra
+from baggie.registry import CAMERAS, lacking, made_by
 
 
 def open_camera(settings: CameraSettings) -> OpenCamera:
@@ -114,3 +116,41 @@ class AzureKinectSettings(_DepthSettings):
         from baggie.cameras.k4a import open_stream  # noqa: PLC0415 -- an extra
 
         return open_stream
+
+
+class PythonCameraEntry(CameraEntry):
+    """A camera of one's own. Every other entry is an option of its factory."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    about: ClassVar[str] = "one of your own"
+    factory: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`my_lab.my_camera:open_camera`, a function or class that makes a `Camera`; the module may be in the file's own
+    folder."""
+
+    def open(self, folder: Path) -> Camera:
+        """Make the camera. Raises as `open_python_camera` does."""
+        return open_python_camera(self.factory, self.model_extra or {}, folder)
+
+
+def open_python_camera(factory: str, options: Mapping[str, Any], folder: Path) -> Camera:
+    """What `factory` makes of `options`: `"my_lab.my_camera:open_camera"`, a function or class in a module.
+
+    Raises `BaggieError` as `made_by` does, and when it makes no `Camera`, or one whose size is no size.
+    """
+    camera = made_by(factory, options, folder, "camera")
+    if not isinstance(camera, Camera) or not _is_size(camera.size):
+        wrong = lacking(camera, Camera) or "has a `size` that is not (width, height) in pixels"
+        raise BaggieError(
+            f"{factory} made a {type(camera).__name__}, which is no Camera: it {wrong}; see baggie/cameras/camera.py"
+        )
+    return camera
+
+
+def _is_size(size: object) -> bool:
+    return (
+        isinstance(size, tuple)
+        and len(size) == 2
+        and all(isinstance(side, int) and side > 0 for side in size)
+    )

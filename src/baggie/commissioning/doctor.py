@@ -9,8 +9,8 @@ from typing import Literal
 from rich.markup import escape
 from rich.table import Table
 
-from baggie.commissioning.assistant import Helper, Person
 from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
+from baggie.commissioning.session import Helper, Person
 from baggie.errors import BaggieError, NobodyError
 from baggie.operator import Operator, Question, TerminalOperator
 from baggie.options.workcells import DoctorOptions

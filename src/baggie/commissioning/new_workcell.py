@@ -24,10 +24,9 @@ from baggie.files import parse_yaml, write_text
 from baggie.operator import Answer, Operator, Parse, Question, TerminalOperator, choice
 from baggie.options.workcells import NewWorkcellOptions, ShowWorkcellOptions
 from baggie.registry import ARMS, CAMERAS
-from baggie.robot.arm import ArmInfo
+from baggie.robot.arm import ArmInfo, PythonArmEntry
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
-from baggie.robot.python_devices import PythonArmEntry
 from baggie.workcell.workcell_file import Bag, Bounds, WorkcellFile, read_workcell_file
 
 _NONE = "-"

@@ -1,18 +1,22 @@
 """What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods.
 
-What a person writes down about an arm: the section `arm` of a workcell file.
+What a person writes down about an arm: the section `arm` of a workcell file. An arm of one's own, found by its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+
+from pydantic import ConfigDict, Field
 
 from baggie.entries import Section
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
+from baggie.registry import lacking, made_by
 
 CLEAR_Z_M = 0.1
 """A height above all that lies on a table, metres."""
@@ -154,3 +158,33 @@ def let_go(*devices: object) -> None:
     for device in devices:
         if isinstance(device, _Closable):
             device.close()
+
+
+class PythonArmEntry(ArmEntry):
+    """An arm of one's own. Every other entry is an option of its factory."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    about: ClassVar[str] = "one of your own"
+    factory: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+
+    def open(self, folder: Path) -> Arm:
+        """Make the arm. Raises as `open_python_arm` does."""
+        return open_python_arm(self.factory, self.model_extra or {}, folder)
+
+
+def open_python_arm(factory: str, options: Mapping[str, Any], folder: Path) -> Arm:
+    """What `factory` makes of `options`: `"my_lab.my_arm:open_arm"`, a function or class in a module.
+
+    The module is looked for where Python looks, then in `folder`. Raises `BaggieError` when it cannot be imported, does
+    not take these options, or makes no `Arm`; whatever the factory itself raises is passed on.
+    """
+    arm = made_by(factory, options, folder, "arm")
+    if not isinstance(arm, Arm) or not isinstance(arm.info, ArmInfo):
+        wrong = lacking(arm, Arm) or "has an `info` that is no ArmInfo"
+        raise BaggieError(
+            f"{factory} made a {type(arm).__name__}, which is no Arm: it {wrong}; see baggie/robot/arm.py"
+        )
+    return arm
