@@ -1,7 +1,9 @@
 import re
 import shutil
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -14,6 +16,7 @@ from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
 from baggie.options.workcells import NewWorkcellOptions
 from baggie.registry import ARMS, CAMERAS
+from baggie.robot.arm import ArmEntry
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
 from baggie.workcell.workcell_file import (
@@ -46,6 +49,28 @@ def test_every_kind_of_arm_and_camera_that_a_file_can_name_is_offered() -> None:
     with pytest.raises(BaggieError, match="nobody answers"):
         new_workcell(NewWorkcellOptions(Path("nowhere/cell.yaml")), operator=person)
     assert all(kind in person.asked[0] for kind in kinds)
+
+
+class PackagedEntry(ArmEntry):
+    """As another package has it."""
+
+    kind: Literal["packaged"]
+    about: ClassVar[str] = "another package's"
+    address: str
+    gain: float = 1.0
+
+
+def test_a_kind_of_another_package_is_offered_and_asked_for_what_has_no_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = EntryPoint("packaged", f"{__name__}:PackagedEntry", ARMS.group)
+    monkeypatch.setitem(vars(ARMS), "_others", {"packaged": point})
+    person = Scripted("packaged", "10.0.0.1", *[""] * 20)
+    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=person)
+    assert "packaged, another package's" in person.asked[0]
+    assert read_workcell_file(tmp_path / "cell.yaml").arm == PackagedEntry(
+        kind="packaged", address="10.0.0.1"
+    )
 
 
 @pytest.mark.parametrize("kind", [kind for kind in ASKED if kind != "replay"])

@@ -1,8 +1,6 @@
-"""`baggie workcell new`: asks a person about their workcell, and writes the file.
+"""`baggie workcell new` asks a person about a workcell and writes its file; `baggie workcell show` says what one means.
 
-What it asks about an arm: for each kind what it needs, and what goes with it. What may be answered.
-
-`baggie workcell show`: all that a workcell file says, and what follows from it.
+An arm of a kind that is not in `ASKED`, another package's, is asked for what has no default.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""What a calibration works with: a camera, an arm perhaps, somebody to help, and a way to tell them.
+"""What a calibration works with: a camera, perhaps an arm, an assistant, an operator, and a folder of views.
 
-What it is made from is kept in a folder, pictures and what goes with each, so that it can be made again.
-
-Who does by hand what the robot cannot do by itself: a person. In the simulator, `simulated_assistant.py` does the same
-things in the world.
+An assistant does by hand what the robot cannot do by itself: a person, or in the simulator `simulated_assistant.py`.
+The folder keeps pictures and what goes with each, so that the calibration can be made again.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods.
+"""What an arm must offer, and what a workcell file says of one: the section `arm`.
 
-What a person writes down about an arm: the section `arm` of a workcell file. An arm of one's own, found by its name.
+`pick` and `place` are written once over the protocol `Arm`; a new arm implements eight methods.
 """
 
 from __future__ import annotations

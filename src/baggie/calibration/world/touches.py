@@ -1,7 +1,7 @@
-"""Two lists of the same points, in two frames: the motion between them, and which points agree on one.
+"""Points that a robot touches: which ones of a target, the motion between two lists of them, and which agree on one.
 
-Which points of a target a robot touches, in the world's frame, as a person sees it on a target that lies on the table:
-its origin is the lowest left point of the print, x runs right along the print, y up it, z out of the paper.
+The world's frame is a person's who sees the target on the table: its origin is the lowest left point of the print, x
+runs right along the print, y up it, z out of the paper.
 """
 
 from __future__ import annotations
