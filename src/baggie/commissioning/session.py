@@ -29,6 +29,7 @@ from baggie.options.calibrating import LiveOptions
 from baggie.pictures import write_picture
 from baggie.types import Image, Observation
 from baggie.vision.targets import Seen, Target
+from baggie.workcell.config import open_workcell
 from baggie.workcell.workcell import Workcell
 
 
@@ -243,8 +244,6 @@ def open_session(
         finally:
             camera.close()
         return
-    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
-
     cell = open_workcell(options.workcell, options.cell)
     try:
         yield Session(cell.camera, cell, _assistant(cell, options.seed, person), operator)

@@ -14,7 +14,6 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from baggie.cameras import settings_of
 from baggie.cameras.camera import CameraEntry
-from baggie.data import open_dataset
 from baggie.entries import Metres, OfKind, Section, explain
 from baggie.errors import BaggieError
 from baggie.files import parse_yaml, read_text
@@ -27,7 +26,6 @@ from baggie.robot.primitives import Handling
 from baggie.sim.bag import FULL_HEIGHT_M, LONG_ASPECT
 from baggie.sim.bag import Bag as SimulatedBag
 from baggie.sim.cell import LARGEST_SIDE, PICTURE_SIZE, SMALLEST_SIDE
-from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
 SIMULATED = "simulated FR3"
@@ -203,6 +201,9 @@ class ReplayEntry(CellEntry):
 
     def workcell(self, written: WorkcellFile, settings: WorkcellSettings, folder: Path) -> Workcell:
         """The recording's. Raises `DataError` where it cannot be read."""
+        from baggie.data import open_dataset  # noqa: PLC0415 -- pyarrow takes its time
+        from baggie.workcell.replay import ReplayWorkcell  # noqa: PLC0415
+
         return ReplayWorkcell(open_dataset(folder / self.recording), settings)
 
 
