@@ -30,17 +30,18 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import fit_intrinsics
 from baggie.calibration.intrinsics.views import BoardView
+from baggie.calibration.point_registration import T_world_target, points_to_touch
 from baggie.calibration.pose import UncertainTransform
 from baggie.calibration.robot_to_world import compose, fit_from_points
-from baggie.commissioning.hand_eye import random_hand_pose, take_hand_eye_views
 from baggie.commissioning.image_to_robot import calibrate_image_to_robot_live, grid
 from baggie.commissioning.intrinsics import calibrate_intrinsics_live
-from baggie.commissioning.printed import T_world_target, points_to_touch
-from baggie.commissioning.robot_to_world import (
+from baggie.commissioning.poses import (
     calibrate_camera_to_world_live,
     calibrate_robot_to_world_live,
+    random_hand_pose,
+    take_hand_eye_views,
 )
-from baggie.commissioning.session import Bench, open_bench
+from baggie.commissioning.session import Session, open_session
 from baggie.commissioning.simulated_assistant import SimulatedAssistant, board_in_view, lying
 from baggie.errors import BaggieError
 from baggie.files import write_text
@@ -325,21 +326,21 @@ class Blurred:
 def pictures(number: int, folder: Path) -> dict[str, Truth]:
     """Every calibration as its command makes it, from rendered pictures; those in `folder` are not taken again."""
     rng = np.random.default_rng([4, number])
-    with open_bench(LiveOptions(cell=number, seed=number), Nobody()) as bench:
-        cell = bench.workcell()
+    with open_session(LiveOptions(cell=number, seed=number), Nobody()) as session:
+        cell = session.workcell()
         assert isinstance(cell, SimulatedWorkcell)
         blurred: Any = Blurred(cell.camera, float(rng.uniform(0.3, 1.0)))
-        cell.camera = bench.camera = blurred
-        return live(bench, cell, folder)
+        cell.camera = session.camera = blurred
+        return live(session, cell, folder)
 
 
-def live(bench: Bench, cell: SimulatedWorkcell, folder: Path) -> dict[str, Truth]:
+def live(session: Session, cell: SimulatedWorkcell, folder: Path) -> dict[str, Truth]:
     """The commands one after the other; what fails is said, and counts as such."""
     true = cell.world.cell
     T_base_camera = invert_transform(true.T_camera_base)
     result: dict[str, Truth] = {}
     camera_file = folder / "camera.yaml"
-    lens = calibrate_intrinsics_live(bench, IntrinsicsOptions(out=camera_file))
+    lens = calibrate_intrinsics_live(session, IntrinsicsOptions(out=camera_file))
     lens.save(camera_file)
     result["intrinsics"] = {**judge_lens(lens, true), "rms_px": lens.rms_px}
 
@@ -353,13 +354,15 @@ def live(bench: Bench, cell: SimulatedWorkcell, folder: Path) -> dict[str, Truth
         options = ImageToRobotOptions(
             out=folder / "map.yaml", intrinsics=known
         )  # the second takes no new pictures
-        attempt(name, lambda options=options: judge_map(calibrate_image_to_robot_live(bench, options), true))  # type: ignore[misc]
+        attempt(
+            name, lambda options=options: judge_map(calibrate_image_to_robot_live(session, options), true)
+        )  # type: ignore[misc]
     found: dict[str, CameraToWorld] = {}
 
     def to_world() -> Truth:
         options = CameraToWorldOptions(out=folder / "camera-to-world.yaml", intrinsics=camera_file)
-        found["camera"] = calibrate_camera_to_world_live(bench, options)
-        assistant, truth = bench.assistant, folder / "T_base_target.json"
+        found["camera"] = calibrate_camera_to_world_live(session, options)
+        assistant, truth = session.assistant, folder / "T_base_target.json"
         assert isinstance(assistant, SimulatedAssistant)
         if truth.exists():  # the board was laid when the pictures were taken
             assistant.T_base_target = np.array(json.loads(truth.read_text()))
@@ -370,19 +373,21 @@ def live(bench: Bench, cell: SimulatedWorkcell, folder: Path) -> dict[str, Truth
         return judge_pose(found["camera"].pose, invert_transform(found["T_base_world"]) @ T_base_camera)
 
     def to_robot() -> Truth:
-        robot = calibrate_robot_to_world_live(bench, RobotToWorldOptions(out=folder / "robot-to-world.yaml"))
+        robot = calibrate_robot_to_world_live(
+            session, RobotToWorldOptions(out=folder / "robot-to-world.yaml")
+        )
         result["robot to world"] = judge_pose(robot.pose, invert_transform(found["T_base_world"]))
         return judge_pose(compose(found["camera"], robot).pose, T_base_camera)
 
     def hand_eye() -> Truth:
         options = HandEyeOptions(out=folder / "hand-eye.yaml", intrinsics=camera_file, seed=true.number)
         return judge_pose(
-            solve_hand_eye(read_views(take_hand_eye_views(bench, options))).transform, T_base_camera
+            solve_hand_eye(read_views(take_hand_eye_views(session, options))).transform, T_base_camera
         )
 
     attempt("camera to world", to_world)
     attempt("camera to robot, composed", to_robot)
-    bench.assistant.put_away()
+    session.assistant.put_away()
     attempt("camera to robot, hand-eye", hand_eye)
     return result
 

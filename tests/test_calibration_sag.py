@@ -22,9 +22,9 @@ from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.intrinsics.fit import BoardView, fit_intrinsics
 from baggie.calibration.intrinsics.lens import DISTORTION, USUAL_SAG, LensGuess, fit_lens, settle_lens
 from baggie.calibration.intrinsics.views import corner_noise_px
+from baggie.calibration.point_registration import points_to_touch
 from baggie.commissioning.intrinsics import calibrate_intrinsics
-from baggie.commissioning.printed import points_to_touch
-from baggie.commissioning.robot_to_world import calibrate_camera_to_world, calibrate_robot_to_world_live
+from baggie.commissioning.poses import calibrate_camera_to_world, calibrate_robot_to_world_live
 from baggie.errors import DataError
 from baggie.geometry import difference, from_vector, invert_transform, rigid, transform_points
 from baggie.options.commissioning import CameraToWorldOptions, IntrinsicsOptions, RobotToWorldOptions
@@ -356,12 +356,12 @@ def test_the_robot_touches_the_board_as_the_camera_saw_it(tmp_path):
         raise KeyboardInterrupt
 
     assistant = SimpleNamespace(clear_table=lambda: None, touch=touch)
-    bench = SimpleNamespace(workcell=lambda: SimpleNamespace(arm=None), assistant=assistant)
+    session = SimpleNamespace(workcell=lambda: SimpleNamespace(arm=None), assistant=assistant)
     for number, spec in enumerate((BOARD.spec, CHARUCO.spec)):
         options = RobotToWorldOptions(out=tmp_path / f"{number}.yaml", target=spec)
         camera = SimpleNamespace(target=BOARD.spec, sag=BENT)
         with pytest.raises(KeyboardInterrupt):
-            calibrate_robot_to_world_live(bench, options, camera)
+            calibrate_robot_to_world_live(session, options, camera)
     assert [target.sag for target, _ in touched] == [BENT, FLAT]
 
 

@@ -15,8 +15,12 @@ pyk4a = pytest.importorskip(
     exc_type=ImportError,
 )
 
-from baggie.cameras.camera import CameraSettings, check_camera  # noqa: E402
-from baggie.cameras.opening import OpenCamera, open_camera  # noqa: E402
+from baggie.cameras import open_camera  # noqa: E402
+from baggie.cameras.camera import (  # noqa: E402
+    CameraSettings,
+    OpenCamera,
+    check_camera,
+)
 from baggie.errors import CameraError  # noqa: E402 -- what comes next needs the package
 
 SETTINGS = CameraSettings(kind="k4a", timeout_s=4.0)
@@ -34,8 +38,8 @@ def a_capture(*_: object, **__: object) -> Mock:
     return capture
 
 
-@pytest.fixture
-def device(monkeypatch: pytest.MonkeyPatch) -> Mock:
+def plug_in(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """One camera."""
     device: Mock = create_autospec(pyk4a.PyK4A, instance=True)
     device.serial, device.is_running = "0001", True
     device.calibration = create_autospec(pyk4a.Calibration, instance=True)
@@ -45,6 +49,11 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Mock:
     monkeypatch.setattr(pyk4a, "connected_device_count", lambda: 1)
     monkeypatch.setattr(pyk4a, "PyK4A", lambda config, device_id: device)
     return device
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    return plug_in(monkeypatch)
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from baggie.cameras.camera import CameraSettings, check_camera
-from baggie.cameras.opening import OpenCamera, open_camera
+from baggie.cameras import open_camera
+from baggie.cameras.camera import CameraSettings, OpenCamera, check_camera
 from baggie.errors import CameraError
 from baggie.types import Intrinsics
 from helpers.realsense_recording import (

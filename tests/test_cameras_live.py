@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from baggie.cameras import settings_of
 from baggie.cameras.camera import CameraSettings, check_camera
 from baggie.cameras.live import LiveCamera
 from baggie.errors import CameraError
@@ -199,5 +200,5 @@ def test_a_closed_camera_leaves_no_thread_behind(device: Device) -> None:
     ],
 )
 def test_a_camera_in_one_word(words: str, kind: str, source: str | None) -> None:
-    settings = CameraSettings.from_words(words)
+    settings = settings_of(words)
     assert (settings.kind, settings.source) == (kind, source)

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
-from baggie.cameras.camera import CameraSettings, check_camera
-from baggie.cameras.opening import OpenCamera, open_camera
+from baggie.cameras import open_camera
+from baggie.cameras.camera import CameraSettings, OpenCamera, check_camera
 from baggie.cli.main import main
 from baggie.errors import CameraError
 from baggie.pictures import read_pictures

@@ -15,9 +15,9 @@ from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.hand_eye.solve import HandEye
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
+from baggie.calibration.point_registration import T_world_target, points_to_touch
 from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cli.main import main
-from baggie.commissioning.assistant import Person
 from baggie.commissioning.check import check_live
 from baggie.commissioning.image_to_robot import (
     calibrate_image_to_robot_live,
@@ -27,8 +27,7 @@ from baggie.commissioning.image_to_robot import (
     parse_marker,
     visit,
 )
-from baggie.commissioning.printed import NAMED, T_world_target, points_to_touch
-from baggie.commissioning.session import ViewFolder, open_bench
+from baggie.commissioning.session import Person, ViewFolder, open_session
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import difference, invert_transform, transform_points
 from baggie.options.commissioning import CheckOptions, ImageToRobotOptions
@@ -37,6 +36,7 @@ from baggie.pictures import read_picture, write_picture
 from baggie.robot.limits import GuardedArm
 from baggie.sim.cell import draw_cell
 from baggie.types import Intrinsics
+from baggie.vision.printing import NAMED
 from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.config import open_workcell
 from helpers.board_pictures import random_pose, render_board
@@ -141,13 +141,13 @@ def test_the_check_measures_and_an_old_map_fails_it(
     mapped: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     options = CheckOptions(map=mapped / "image-to-robot.yaml", cell=CELL, points=2, touches=1)
-    with open_bench(options) as bench:
-        good = check_live(bench, ImageToRobot.load(options.map), options)
+    with open_session(options) as session:
+        good = check_live(session, ImageToRobot.load(options.map), options)
         assert good["held_out_mm"]["max"] < 1.5
         assert good["touch_mm"]["max"] < 2.0
         assert good["background_moved_px"] < 0.5
-        bench.cell.bump_camera([0.008, 0.0, 0.0], [0.0, 0.0, 0.0])
-        bad = check_live(bench, ImageToRobot.load(options.map), options)
+        session.cell.bump_camera([0.008, 0.0, 0.0], [0.0, 0.0, 0.0])
+        bad = check_live(session, ImageToRobot.load(options.map), options)
         assert bad["touch_mm"]["mean"] > 4.0
         assert bad["background_moved_px"] > 2.0
 
@@ -205,8 +205,8 @@ def test_an_interrupted_calibration_goes_on(
     whole = content["views"]
     recorded.write_text(json.dumps(content | {"views": whole[:-2]}))
     options = ImageToRobotOptions(out=tmp_path / "map.yaml", cell=CELL, columns=3)
-    with open_bench(options) as bench:
-        take, calls = bench.camera.look, []
+    with open_session(options) as session:
+        take, calls = session.camera.look, []
 
         def look_until_stopped():
             calls.append(1)
@@ -214,13 +214,13 @@ def test_an_interrupted_calibration_goes_on(
                 raise KeyboardInterrupt
             return take()
 
-        monkeypatch.setattr(bench.camera, "look", look_until_stopped)
+        monkeypatch.setattr(session.camera, "look", look_until_stopped)
         with pytest.raises(KeyboardInterrupt, match=f"after {len(whole) - 1} of 18 points"):
-            calibrate_image_to_robot_live(bench, options)
+            calibrate_image_to_robot_live(session, options)
         before = json.loads(recorded.read_text())["views"]
         assert before[:-1] == whole[:-2]
         assert len(before) == len(whole) - 1
-        fitted = calibrate_image_to_robot_live(bench, options)
+        fitted = calibrate_image_to_robot_live(session, options)
         after = json.loads(recorded.read_text())["views"]
     assert after[: len(before)] == before
     points = [view["point"] for view in after]

@@ -20,10 +20,12 @@ import sys
 from pathlib import Path
 
 import baggie, gymnasium
+from baggie.cameras.camera import check_camera
 from baggie.cli.main import main
 from baggie.collect.task_contract import check_task
 from baggie.policies.base import check_policy
 from baggie.registry import TASKS
+from baggie.robot.contract import check_arm
 from baggie_tray.policy import HighestPolicy
 
 if __name__ == "__main__":
@@ -40,6 +42,12 @@ if __name__ == "__main__":
     assert main(f"collect --attempts 1 {words}/recording".split()) == 0
     for tried in ("oracle", folder / "highest"):
         assert main(f"evaluate --policy {tried} --episodes 1 --film 0 {words}/{Path(tried).name}-tried".split()) == 0
+    file = folder / "cell.yaml"
+    file.write_text("arm: {kind: tray-arm, reach_m: 0.8}\\ncamera: {kind: tray-camera}\\n")
+    cell = baggie.open_workcell(file)
+    check_arm(cell.arm)
+    check_camera(cell.camera)
+    assert main(["workcell", "show", str(file)]) == 0
 """
 
 
@@ -72,7 +80,7 @@ def test_a_task_whose_scenes_are_all_alike_is_found_out(tmp_path: Path) -> None:
         check_task(replace(pyramid, draw_scene=always), tmp_path)
 
 
-def test_a_task_and_a_policy_of_another_package_work_everywhere(tmp_path: Path) -> None:
+def test_what_another_package_has_works_everywhere(tmp_path: Path) -> None:
     info = (
         tmp_path / "baggie_tray-0.1.0.dist-info"
     )  # what installing the package would leave, without a network

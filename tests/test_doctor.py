@@ -54,7 +54,7 @@ def cell(arm: ObedientArm | None = None, eye: Eye | None = None) -> Workcell:
 def frozen(monkeypatch: pytest.MonkeyPatch) -> ObedientArm:
     """The arm of the workcell that opens: nothing is wrong but its camera, which has frozen."""
     arm = ObedientArm()
-    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm, Eye(frozen=True)))
+    monkeypatch.setattr("baggie.commissioning.doctor.open_workcell", lambda *_: cell(arm, Eye(frozen=True)))
     return arm
 
 
@@ -110,7 +110,7 @@ def helped(
     def lay(words: str) -> None:
         arm._floor = 0.04 if "firm thing" in words else 0.0
 
-    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm))
+    monkeypatch.setattr("baggie.commissioning.doctor.open_workcell", lambda *_: cell(arm))
     person = Scripted("y", *answers, meanwhile=lay)
     findings = examine(DoctorOptions(), operator=person)
     return {finding.check: finding for finding in findings}, person
@@ -136,7 +136,7 @@ def test_what_nobody_lays_or_tells_is_not_tried(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_who_says_yes_beforehand_is_asked_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell())
+    monkeypatch.setattr("baggie.commissioning.doctor.open_workcell", lambda *_: cell())
     found = {finding.check: finding for finding in examine(DoctorOptions(move="yes"))}
     assert [found[name].verdict for name in HELPED] == ["not tried", "not tried"]
     require_healthy(list(found.values()))
@@ -204,7 +204,7 @@ def test_a_simulated_arm_that_is_turned_by_half_a_turn_is_seen() -> None:
 
 def test_without_leave_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = ObedientArm()
-    monkeypatch.setattr("baggie.workcell.config.open_workcell", lambda *_: cell(arm))
+    monkeypatch.setattr("baggie.commissioning.doctor.open_workcell", lambda *_: cell(arm))
     findings = examine(DoctorOptions(move="no"))
     assert {f.verdict for f in findings if f.check in {*health.MOVING, *HELPED}} == {"not tried"}
     assert not arm.speeds

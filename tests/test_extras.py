@@ -10,8 +10,8 @@ from importlib.util import find_spec
 
 import pytest
 
+from baggie.cameras import open_camera
 from baggie.cameras.camera import CameraSettings
-from baggie.cameras.opening import open_camera
 from baggie.errors import CameraError, install_extra, pip_install
 from helpers.docs_pages import PAGES, ROOT
 

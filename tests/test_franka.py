@@ -20,10 +20,8 @@ import pytest
 from baggie.errors import ArmError, BaggieError, LimitError, ReachError, install_extra
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, hand_matrix
 from baggie.robot.arm import LedArm, hand_pose
-from baggie.robot.contract import check_arm
 from baggie.robot.franka.arm import FrankaArm
 from baggie.robot.franka.models import HOME, MODELS, ModelName
-from baggie.robot.limits import GuardedArm
 from baggie.types import PickPlace
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from helpers.fci_server import BOX_TOP_M
@@ -95,10 +93,6 @@ def beside(arm: FrankaArm) -> ToolPose:
     """A place 8 cm from where the arm is."""
     here = arm.pose()
     return ToolPose(here.x, 0.08 if here.y < 0.04 else 0.0, here.z)
-
-
-def test_it_keeps_the_contract_of_arms(arm: FrankaArm) -> None:
-    check_arm(GuardedArm(arm, LIMITS), speed_m_s=1.2)
 
 
 def test_connecting_leaves_the_priority_of_who_connects_as_it_was(arm: FrankaArm) -> None:

@@ -323,7 +323,9 @@ def test_what_a_simulated_bag_cannot_be_is_refused(tmp_path: Path, bag: str, lin
 
 def test_a_simulated_bag_may_say_its_own_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[WorkcellSettings] = []
-    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings))
+    monkeypatch.setattr(
+        "baggie.workcell.simulated.SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings)
+    )
     path = tmp_path / "cell.yaml"
     path.write_text("bag: {height_m: 0.03}\n")
     config._open(read_workcell_file(path), path)

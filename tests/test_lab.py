@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 
 import baggie
 import baggie.lab.robot as robot_module
+from baggie.cameras import open_camera
 from baggie.cameras.camera import Camera, check_camera
-from baggie.cameras.opening import open_camera
 from baggie.collect import CollectOptions, collect
 from baggie.commissioning.check import check_calibration
 from baggie.commissioning.doctor import examine

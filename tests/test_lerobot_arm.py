@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from baggie.errors import ArmError, BaggieError, ReachError
 from baggie.geometry import FloatArray, ToolPose, wrap_angle
-from baggie.robot.contract import check_arm
 from baggie.robot.kinematics import load_arm_model
 from baggie.robot.lerobot.arm import LeRobotArm
 from baggie.robot.lerobot.link import open_robot
@@ -30,10 +29,6 @@ RANGE_DEG = np.rad2deg(load_arm_model(FR3, JOINTS, tool="hand").jnt_range)
 
 def opened(robot: NumbersRobot, **changes: Any) -> LeRobotArm:
     return LeRobotArm(robot, settings(**changes), RobotsClock(robot))
-
-
-def test_it_keeps_the_contract_of_arms() -> None:
-    check_arm(GuardedArm(opened(NumbersRobot()), LIMITS))
 
 
 def test_it_stops_at_what_it_touches_and_presses_no_more() -> None:

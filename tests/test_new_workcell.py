@@ -1,25 +1,26 @@
 import re
 import shutil
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import get_args
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
 import pytest
 
 import baggie
-from baggie.cameras.camera import CameraSettings, Kind
-from baggie.commissioning.new_workcell import ARMS, new_workcell
+from baggie.cameras import OpenCVSettings, PythonCameraEntry, RealSenseSettings
+from baggie.commissioning.new_workcell import ASKED, new_workcell
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import ToolPose
 from baggie.options.commissioning import NewWorkcellOptions
+from baggie.registry import ARMS, CAMERAS
+from baggie.robot.arm import ArmEntry
+from baggie.robot.franka import FrankaEntry
+from baggie.robot.lerobot import LeRobotEntry
 from baggie.workcell.workcell_file import (
-    ArmEntry,
     Bag,
-    FrankaEntry,
-    LeRobotEntry,
-    PythonEntry,
     ReplayEntry,
     SimulatedEntry,
     WorkcellFile,
@@ -38,19 +39,41 @@ def test_enter_alone_gives_a_slow_franka(tmp_path: Path) -> None:
     written = write(tmp_path / "cell.yaml")
     assert isinstance(written.arm, FrankaEntry)
     assert (written.arm.speed, written.arm.model) == (0.1, "fr3")
-    assert written.camera == CameraSettings(source="0")
+    assert written.camera == OpenCVSettings(source="0")
 
 
 def test_every_kind_of_arm_and_camera_that_a_file_can_name_is_offered() -> None:
-    kinds = [get_args(entry.model_fields["kind"].annotation)[0] for entry in get_args(get_args(ArmEntry)[0])]
-    assert sorted(ARMS) == sorted(kinds)
+    kinds = ARMS.names()
+    assert sorted(ASKED) == sorted(kinds)
     person = Scripted()
     with pytest.raises(BaggieError, match="nobody answers"):
         new_workcell(NewWorkcellOptions(Path("nowhere/cell.yaml")), operator=person)
     assert all(kind in person.asked[0] for kind in kinds)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in ARMS if kind != "replay"])
+class PackagedEntry(ArmEntry):
+    """As another package has it."""
+
+    kind: Literal["packaged"]
+    about: ClassVar[str] = "another package's"
+    address: str
+    gain: float = 1.0
+
+
+def test_a_kind_of_another_package_is_offered_and_asked_for_what_has_no_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = EntryPoint("packaged", f"{__name__}:PackagedEntry", ARMS.group)
+    monkeypatch.setitem(vars(ARMS), "_others", {"packaged": point})
+    person = Scripted("packaged", "10.0.0.1", *[""] * 20)
+    new_workcell(NewWorkcellOptions(tmp_path / "cell.yaml"), operator=person)
+    assert "packaged, another package's" in person.asked[0]
+    assert read_workcell_file(tmp_path / "cell.yaml").arm == PackagedEntry(
+        kind="packaged", address="10.0.0.1"
+    )
+
+
+@pytest.mark.parametrize("kind", [kind for kind in ASKED if kind != "replay"])
 def test_every_kind_has_defaults_that_are_read_without_an_error(tmp_path: Path, kind: str) -> None:
     assert write(tmp_path / "cell.yaml", kind).arm.kind == kind
 
@@ -62,24 +85,22 @@ def test_what_was_answered_is_what_is_read(tmp_path: Path) -> None:
     assert written.arm == FrankaEntry(
         kind="franka", host="10.0.0.7", model="panda", speed=0.2, realtime=False
     )
-    assert written.camera == CameraSettings(kind="realsense")
+    assert written.camera == RealSenseSettings()
     assert (written.workspace.x, written.workspace.y) == ((0.4, 0.6), (-0.2, 0.1))
     assert written.bag == Bag(length_m=0.06, width_m=0.04, height_m=0.05, hard=True, color=(1, 2, 3))
 
 
-@pytest.mark.parametrize("kind", get_args(Kind))
+@pytest.mark.parametrize("kind", [kind for kind in CAMERAS.names() if kind not in ("sim", "python")])
 def test_every_kind_of_camera_has_a_source(tmp_path: Path, kind: str) -> None:
     source = "043422070123"  # digits, which YAML would take for a number in base 8
     franka = ("franka", "", "", "", "")
-    assert write(tmp_path / "cell.yaml", *franka, kind, source).camera == CameraSettings(
-        kind=kind, source=source
-    )
+    assert write(tmp_path / "cell.yaml", *franka, kind, source).camera == CAMERAS[kind](source=source)
 
 
 def test_a_camera_of_one_s_own_gets_its_options(tmp_path: Path) -> None:
     answers = ("franka", "", "", "", "", "python", "my_lab.eye:open_eye", "gain=3")
     camera = write(tmp_path / "cell.yaml", *answers).camera
-    assert isinstance(camera, PythonEntry)
+    assert isinstance(camera, PythonCameraEntry)
     assert (camera.factory, camera.model_extra) == ("my_lab.eye:open_eye", {"gain": 3})
 
 
@@ -87,7 +108,7 @@ def test_a_file_of_pictures_has_to_be_there(tmp_path: Path) -> None:
     film = tmp_path / "table.avi"
     film.touch()
     answers = ("franka", "", "", "", "", "opencv", "webcam", str(film))
-    assert write(tmp_path / "cell.yaml", *answers).camera == CameraSettings(source=str(film))
+    assert write(tmp_path / "cell.yaml", *answers).camera == OpenCVSettings(source=str(film))
 
 
 def test_the_defaults_of_a_small_lerobot_arm_are_those_of_the_guide(tmp_path: Path) -> None:

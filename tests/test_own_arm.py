@@ -21,12 +21,13 @@ from baggie.cameras.camera import check_camera
 from baggie.errors import ArmError, BaggieError, LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.robot.contract import FORCE_N, check_arm
+from baggie.robot.lerobot import LeRobotEntry
 from baggie.robot.lerobot.arm import LeRobotArm
 from baggie.robot.limits import GuardedArm
 from baggie.robot.primitives import Handling, least_turn, pick, place
 from baggie.types import PickPlace
 from baggie.workcell.workcell import WorkcellSettings
-from baggie.workcell.workcell_file import LeRobotEntry, read_workcell_file
+from baggie.workcell.workcell_file import read_workcell_file
 from helpers.lerobot_robot import FR3, NumbersRobot, settings
 from helpers.recording_arm import RecordingArm
 
@@ -356,7 +357,7 @@ def test_what_a_workcell_file_says_reaches_lerobot(folder: Path, monkeypatch: py
         asked.append(args)
         return NumbersRobot()
 
-    monkeypatch.setattr("baggie.workcell.config.open_robot", open_robot)
+    monkeypatch.setattr("baggie.robot.lerobot.open_robot", open_robot)
     (folder / "models").mkdir()
     shutil.copy(FR3, folder / "models" / "fr3.xml")
     mine = settings().model_dump(mode="json", exclude={"model"})

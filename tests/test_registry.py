@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
 from baggie.errors import BaggieError, BaggieWarning
-from baggie.registry import Registry
+from baggie.registry import ARMS, CAMERAS, Registry
+from baggie.workcell.workcell_file import read_workcell_file
 
 OWN = {"square": "fractions:Fraction", "round": "decimal:Decimal"}
 Install = Callable[..., None]
@@ -20,14 +22,14 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     """Installs a package with a module's source and entry points by name, for the duration of a test."""
     before = set(sys.modules)
 
-    def made(name: str, source: str, **points: str) -> None:
+    def made(name: str, source: str, group: str = "baggie.shapes", **points: str) -> None:
         folder = tmp_path / name
         info = folder / f"{name}-1.0.dist-info"
         info.mkdir(parents=True)
         (folder / f"{name}.py").write_text(source)
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
         lines = [f"{point} = {name}:{attribute}" for point, attribute in points.items()]
-        (info / "entry_points.txt").write_text("\n".join(["[baggie.shapes]", *lines, ""]))
+        (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
         monkeypatch.syspath_prepend(folder)
 
     yield made
@@ -117,3 +119,23 @@ def test_of_two_other_packages_the_first_wins(install: Install) -> None:
     with pytest.warns(BaggieWarning, match="the shape 'oval' of ovals is left out: that of eggs goes by"):
         assert registry.names() == ["square", "round", "oval"]
     assert registry["oval"].__name__ == "Egg"
+
+
+@pytest.mark.parametrize("registry", [ARMS, CAMERAS], ids=["arm", "camera"])
+def test_a_broken_driver_is_one_warning_and_no_kind_that_a_file_may_name(
+    install: Install, registry: Registry[type], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    what = registry.group.removeprefix("baggie.").removesuffix("s")
+    install("ovals", "import no_such_module", registry.group, oval="Oval")
+    installed = {point.name: point for point in entry_points(group=registry.group)}
+    monkeypatch.setitem(vars(registry), "_others", installed)
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"{what}: {{kind: oval}}\n")
+    with (
+        pytest.warns(
+            BaggieWarning, match=f"the {what} 'oval' of ovals is left out: .*no_such_module"
+        ) as said,
+        pytest.raises(BaggieError, match=rf"line 1: {what}\.kind: expected one of 'sim', .*, got 'oval'"),
+    ):
+        read_workcell_file(path)
+    assert len(said) == 1

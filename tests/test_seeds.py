@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baggie.collect.machine import random_place
-from baggie.commissioning.hand_eye import lead_to_random_pose
+from baggie.commissioning.poses import lead_to_random_pose
 from baggie.commissioning.simulated_assistant import board_in_view
 from baggie.errors import BaggieError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
@@ -103,8 +103,8 @@ def times_asked(unreached: int) -> int:
             if asked <= unreached:
                 raise ReachError("too far")
 
-    bench: Any = SimpleNamespace(assistant=Assistant())
-    lead_to_random_pose(bench, WORKSPACE, np.random.default_rng(0), "there")
+    session: Any = SimpleNamespace(assistant=Assistant())
+    lead_to_random_pose(session, WORKSPACE, np.random.default_rng(0), "there")
     return asked
 
 

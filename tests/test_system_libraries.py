@@ -15,8 +15,8 @@ import pytest
 
 import baggie
 from baggie import gl, system_libraries
+from baggie.cameras import open_camera
 from baggie.cameras.camera import CameraSettings
-from baggie.cameras.opening import open_camera
 from baggie.errors import BaggieError, CameraError, explained
 from baggie.robot.franka.link import load_franky
 

@@ -11,18 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie
-from baggie.cameras.camera import Camera, CameraSettings
-from baggie.cameras.opening import OpenCamera
+from baggie.cameras import OpenCVSettings, RealSenseSettings
+from baggie.cameras.camera import Camera, CameraSettings, OpenCamera
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
+from baggie.robot.franka import FrankaEntry
 from baggie.robot.handling_rules import SIMULATED_HANDLING
+from baggie.robot.lerobot import LeRobotEntry
 from baggie.robot.limits import GuardedArm
 from baggie.robot.primitives import Handling, pick, place
 from baggie.types import PickPlace, Plan
 from baggie.workcell import config
 from baggie.workcell.config import RealWorkcell
 from baggie.workcell.workcell import WorkcellSettings
-from baggie.workcell.workcell_file import FrankaEntry, LeRobotEntry, read_workcell_file
+from baggie.workcell.workcell_file import read_workcell_file
 from helpers.recording_arm import RecordingArm, TimelessCell
 
 SETTINGS = WorkcellSettings()
@@ -262,7 +264,9 @@ def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, force_n: float
 ) -> None:
     opened: list[WorkcellSettings] = []
-    monkeypatch.setattr(config, "SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings))
+    monkeypatch.setattr(
+        "baggie.workcell.simulated.SimulatedWorkcell", lambda _cell, settings, **_: opened.append(settings)
+    )
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     config._open(read_workcell_file(path), path)
@@ -402,9 +406,9 @@ def test_a_camera_is_called_what_is_written_with_quotes_or_without(tmp_path: Pat
     path = tmp_path / "cell.yaml"
     for quoted in (written, f"'{written}'", f'"{written}"'):
         path.write_text(f"{FRANKA}camera: {{kind: realsense, source: {quoted}}}\n")
-        assert read_workcell_file(path).camera == CameraSettings(kind="realsense", source=written)
+        assert read_workcell_file(path).camera == RealSenseSettings(source=written)
         path.write_text(f"{FRANKA}camera: {{kind: opencv, source: {quoted}}}\n")
-        assert read_workcell_file(path).camera == CameraSettings(source=written)
+        assert read_workcell_file(path).camera == OpenCVSettings(source=written)
     assert CameraSettings(source=0) == CameraSettings(source="0")  # type: ignore[arg-type]
 
 
@@ -436,9 +440,9 @@ def test_a_workcell_file_in_another_encoding(tmp_path: Path) -> None:
 def test_a_camera_in_few_words(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(f"{FRANKA}camera: 2\n")
-    assert read_workcell_file(path).camera == CameraSettings(source="2")
+    assert read_workcell_file(path).camera == OpenCVSettings(source="2")
     path.write_text(f"{FRANKA}camera: realsense:1234\n")
-    assert read_workcell_file(path).camera == CameraSettings(kind="realsense", source="1234")
+    assert read_workcell_file(path).camera == RealSenseSettings(source="1234")
 
 
 def test_a_missing_workcell_file_says_what_to_give() -> None:

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import inspect
 import re
-from dataclasses import is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    ValidationError,
+)
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
-from baggie.files import compose_yaml
+from baggie.errors import BaggieError
+from baggie.files import compose_yaml, parse_yaml
+from baggie.registry import Registry
 
 _FAR_M = 5.0
 """No table is so far from its robot, and no arm so long."""
@@ -41,8 +52,44 @@ Words = Annotated[str, BeforeValidator(_in_digits)]
 Metres = Annotated[float, AfterValidator(_near)]
 
 
+@dataclass(frozen=True)
+class OfKind:
+    """Reads a section by the model that is registered for its `kind`, and is imported only then."""
+
+    registry: Registry[type[Any]]
+    in_full: Callable[[Any], Any]
+    """Makes a section of what was written for short."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """What pydantic asks for."""
+        schema = core_schema.no_info_plain_validator_function(self._read)
+        return core_schema.nullable_schema(schema) if type(None) in get_args(source) else schema
+
+    def model_of(self, written: object) -> type[BaseModel]:
+        """The model of a section. Raises `PydanticKnownError` for what is none, or of no kind that there is."""
+        section = self.in_full(written)
+        if isinstance(section, BaseModel):
+            return type(section)
+        if not isinstance(section, Mapping):
+            raise PydanticKnownError("model_attributes_type")
+        if "kind" not in section:
+            raise PydanticKnownError("union_tag_not_found", {"discriminator": "'kind'"})
+        kind = str(section["kind"])
+        try:
+            model: type[BaseModel] = self.registry[kind]
+        except BaggieError:
+            known = ", ".join(map(repr, self.registry.names()))
+            raise PydanticKnownError(
+                "union_tag_invalid", {"discriminator": "'kind'", "tag": kind, "expected_tags": known}
+            ) from None
+        return model
+
+    def _read(self, written: object) -> BaseModel:
+        return self.model_of(written).model_validate(self.in_full(written))
+
+
 Place = tuple[int | str, ...]
-"""The way to an entry, as pydantic names it: the kind of a section that comes in several is a part of it."""
+"""The way to an entry, as pydantic names it."""
 
 
 def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel]) -> str:
@@ -60,7 +107,7 @@ def explain(path: Path, text: str, error: ValidationError, model: type[BaseModel
         known, came = first["ctx"]["expected_tags"], first["ctx"]["tag"]
         return f"{where}: expected one of {known}, got {came!r}; change it"
     if first["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
-        known = ", ".join(_entries(_section(model, first["loc"][:-1])))
+        known = ", ".join(_entries(_section(model, first["loc"][:-1], parse_yaml(text, path))))
         return f"{where}: there is no such entry; take it out, or give one of {known}"
     if first["type"] in {"missing", "value_error"}:  # what came is the whole section
         return f"{where}: {wrong}"
@@ -83,35 +130,25 @@ def _find(text: str, place: Place) -> tuple[int, str, yaml.Node | None]:
             entry = node.value[part], node.value[part]
         if entry is not None:
             line, node = entry[0].start_mark.line + 1, entry[1]
-        if entry is not None or (position == len(place) - 1 and not _is_kind(node, part)):
+        if entry is not None or position == len(place) - 1:
             names.append(str(part))
     return line, ".".join(names) or "the file", node
 
 
-def _is_kind(node: yaml.Node | None, part: int | str) -> bool:
-    """Whether this part of a place is no entry of the section but its kind."""
-    entries = node.value if isinstance(node, yaml.MappingNode) else []
-    return any(key.value == "kind" and value.value == part for key, value in entries)
-
-
-def _section(model: type, place: Place) -> type:
-    """The model of the section at a place; a dataclass, perhaps."""
-    kinds = [model]
+def _section(model: type, place: Place, written: Any) -> type:
+    """The model of the section at a place in what was `written`; a dataclass, perhaps."""
     for part in place:
+        written = written[part]
         if isinstance(part, int):
-            continue  # an entry of a list: its models were found with the list
-        of_kind = [each for each in kinds if str(part) in get_args(_annotation(each, "kind"))]
-        kinds = of_kind or [found for each in kinds for found in _models(_annotation(each, str(part)))]
-    return kinds[0]
+            continue  # an entry of a list: its model was found with the list
+        field = model.model_fields[part]  # type: ignore[attr-defined]
+        of_kind = next((each for each in field.metadata if isinstance(each, OfKind)), None)
+        model = of_kind.model_of(written) if of_kind else _models(field.annotation)[0]
+    return model
 
 
 def _entries(model: type) -> list[str]:
     return [*model.model_fields] if issubclass(model, BaseModel) else [*inspect.signature(model).parameters]
-
-
-def _annotation(model: type, field: str) -> object:
-    known = model.model_fields if issubclass(model, BaseModel) else {}
-    return known[field].annotation if field in known else None
 
 
 def _models(annotation: object) -> list[type]:

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "baggie.cameras.opening": "baggie.cameras",
     "baggie.data.ravens_agent": "baggie.ravens.adapters",
     "baggie.evaluation.metrics": "baggie.metrics",
     "baggie.evaluation.results": "baggie.results",
@@ -23,6 +24,7 @@ MOVED = {
     "baggie.policies.regression.policy": "baggie.policies.regression",
     "baggie.ravens.agent": "baggie.ravens.adapters",
     "baggie.ravens.convert": "baggie.ravens.adapters",
+    "baggie.robot.python_devices": "baggie.robot.arm",
     "baggie.sim.arm_model": "baggie.robot.kinematics",
     "baggie.sim.blocks": "baggie.sim.objects",
     "baggie.sim.kinematics": "baggie.robot.kinematics",
@@ -32,7 +34,7 @@ MOVED = {
     "baggie.workcell.camera": "baggie.cameras.camera",
     "baggie.workcell.camera_contract": "baggie.cameras.camera",
     "baggie.workcell.cameras": "baggie.cameras",
-    "baggie.workcell.cameras.opening": "baggie.cameras.opening",
+    "baggie.workcell.cameras.opening": "baggie.cameras",
     "baggie.workcell.cameras.settings": "baggie.cameras.camera",
     "baggie.workcell.handling_rules": "baggie.robot.handling_rules",
     "baggie.workcell.limits": "baggie.robot.limits",

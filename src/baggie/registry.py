@@ -1,23 +1,31 @@
 """What there is by name, ours and that of other installed packages; each is imported when it is first asked for.
 
+Made by name, too: an arm or a camera of one's own.
+
 A package adds to a group by an entry point: in its pyproject.toml, `[project.entry-points."baggie.policies"]` and below
 it `mine = "my_package.module:MyPolicy"`.
 """
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import pkgutil
+import sys
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from importlib.abc import InspectLoader
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from baggie.errors import BaggieError, BaggieWarning
 
 if TYPE_CHECKING:
+    from baggie.cameras.camera import CameraEntry
+    from baggie.robot.arm import ArmEntry
     from baggie.tasks.task import Task
 
 T = TypeVar("T")
@@ -26,6 +34,45 @@ T = TypeVar("T")
 def named(name: str) -> Any:
     """The object of a dotted name, `module:attribute`, imported. Raises `ImportError` or `AttributeError`."""
     return pkgutil.resolve_name(name)
+
+
+def made_by(factory: str, options: Mapping[str, Any], folder: Path, what: str) -> Any:
+    """What the function or class `module:name` makes of options; `what` it is called in an error, such as `arm`.
+
+    The module is looked for where Python looks, then in `folder`. Raises `BaggieError` when it cannot be imported or
+    does not take these options; whatever the factory itself raises is passed on.
+    """
+    module_name, _, name = factory.partition(":")
+    if str(folder.resolve()) not in sys.path:
+        sys.path.append(str(folder.resolve()))
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise BaggieError(
+            f"the {what}'s factory {factory!r} cannot be imported ({reason}); expected module:function, the "
+            f"module installed here or in {folder.resolve()}"
+        ) from error
+    make = getattr(module, name, None)
+    if not callable(make):
+        raise BaggieError(
+            f"the module {module_name} has no function or class {name!r}; give the {what}'s factory"
+        )
+    try:
+        inspect.signature(make).bind(**options)
+    except TypeError as error:
+        raise BaggieError(
+            f"{factory} takes {inspect.signature(make)}, not {', '.join(options) or 'nothing'} ({error}); "
+            f"change the options below `{what}`"
+        ) from None
+    return make(**options)
+
+
+def lacking(device: object, protocol: type) -> str:
+    """What of a protocol it has not, in words; nothing where it has all."""
+    names = [*protocol.__annotations__, *(name for name in vars(protocol) if name[0] != "_")]
+    missing = [name for name in names if not hasattr(device, name)]
+    return f"lacks {', '.join(missing)}" if missing else ""
 
 
 class Registry(Generic[T]):
@@ -129,3 +176,30 @@ TASKS: Registry[Task] = Registry(
     "task",
 )
 """What has to be done: a new one is one file and one line here, or an entry point of another package."""
+
+ARMS: Registry[type[ArmEntry]] = Registry(
+    "baggie.arms",
+    {
+        "sim": "baggie.workcell.workcell_file:SimulatedEntry",
+        "replay": "baggie.workcell.workcell_file:ReplayEntry",
+        "franka": "baggie.robot.franka:FrankaEntry",
+        "lerobot": "baggie.robot.lerobot:LeRobotEntry",
+        "python": "baggie.robot.arm:PythonArmEntry",
+    },
+    "arm",
+)
+"""What a workcell file says of an arm, by the `kind` that it gives there."""
+
+CAMERAS: Registry[type[CameraEntry]] = Registry(
+    "baggie.cameras",
+    {
+        "sim": "baggie.workcell.workcell_file:SimulatedCameraEntry",
+        "opencv": "baggie.cameras:OpenCVSettings",
+        "realsense": "baggie.cameras:RealSenseSettings",
+        "orbbec": "baggie.cameras:OrbbecSettings",
+        "k4a": "baggie.cameras:AzureKinectSettings",
+        "python": "baggie.cameras:PythonCameraEntry",
+    },
+    "camera",
+)
+"""What a workcell file says of a camera, likewise."""

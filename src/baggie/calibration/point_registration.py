@@ -1,4 +1,8 @@
-"""Two lists of the same points, in two frames: the motion between them, and which points agree on one."""
+"""Points that a robot touches: which ones of a target, the motion between two lists of them, and which agree on one.
+
+The world's frame is a person's who sees the target on the table: its origin is the lowest left point of the print, x
+runs right along the print, y up it, z out of the paper.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from baggie.calibration.pose import UncertainTransform
-from baggie.geometry import FloatArray, rigid
+from baggie.geometry import FloatArray, rigid, transform_points
+from baggie.vision.targets import Target
 
 _ROUNDING_M = 1e-9
 _FLOOR_M = 0.001
@@ -132,3 +137,42 @@ def _triples(count: int) -> NDArray[np.int64]:
         return np.array(list(combinations(range(count), 3)))
     rng = np.random.default_rng(0)
     return np.array([rng.choice(count, 3, replace=False) for _ in range(_MAX_TRIPLES)])
+
+
+def T_world_target(target: Target) -> FloatArray:
+    """`(4, 4)`: the target's own frame (y down the print, z into the paper) in the world's."""
+    rotation = np.diag([1.0, -1.0, -1.0])
+    low_left = np.array([target.points[:, 0].min(), target.points[:, 1].max(), 0.0])
+    return rigid(rotation, -rotation @ low_left)
+
+
+def points_to_touch(target: Target, axes_only: bool) -> list[tuple[str, FloatArray]]:
+    """Points of a target worth touching, with words for where each is: `(3,)` metres, world frame.
+
+    The origin, the far ends of the x axis and of the y axis; unless `axes_only`, the opposite corner and, of a board,
+    the middle of each side as well: then a wrong touch shows, and the others make up for one another. Of a board that
+    sags, these are not in the plane of the corners.
+    """
+    points = transform_points(T_world_target(target), target.points)
+    width, height = points[:, 0].max(), points[:, 1].max()
+    corner = "corner of the black square" if len(points) == 4 else "inner corner"
+    wanted = [
+        (f"the world's origin: the lower left {corner}", (0.0, 0.0, 0.0)),
+        (f"a point on the x axis: the lower right {corner}", (width, 0.0, 0.0)),
+        (f"a point on the y axis: the upper left {corner}", (0.0, height, 0.0)),
+    ]
+    if not axes_only:
+        wanted.append((f"the upper right {corner}", (width, height, 0.0)))
+    if not axes_only and len(points) > 4:
+        middles = {
+            "lower": (width / 2, 0.0),
+            "right": (width, height / 2),
+            "upper": (width / 2, height),
+            "left": (0.0, height / 2),
+        }
+        for side, middle in middles.items():
+            x, y, z = points[np.argmin(np.linalg.norm(points[:, :2] - middle, axis=1))]
+            wanted.append(
+                (f"the {corner} on the {side} side at {1000 * x:.0f}, {1000 * y:.0f} mm", (x, y, z))
+            )
+    return [(words, np.array(point)) for words, point in wanted]

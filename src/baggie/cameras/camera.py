@@ -10,7 +10,8 @@ Several cameras with depth as one that looks straight down.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, Protocol, get_args, runtime_checkable
+from pathlib import Path
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,13 +39,34 @@ class Camera(Protocol):
         ...
 
 
-Kind = Literal["opencv", "realsense", "orbbec", "k4a"]
+class OpenCamera(Camera, Protocol):
+    """A camera that somebody has to close."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        ...
 
 
-class CameraSettings(Section):
+class CameraEntry(Section):
+    """The section `camera` of a workcell file, of one kind. `baggie.registry.CAMERAS` has a subclass for each."""
+
+    kind: str
+    """The word it is registered by."""
+
+    real: ClassVar[bool] = True
+    """Whether it is a device, which `open` opens, and not a part of a simulated workcell."""
+    about: ClassVar[str] = ""
+    """What it is, in a few words, for a person who chooses."""
+
+    def open(self, folder: Path) -> Camera:
+        """Open the camera; paths in the section begin in `folder`. Raises `BaggieError` where it cannot be opened."""
+        raise NotImplementedError
+
+
+class CameraSettings(CameraEntry):
     """Which camera, and how it is set. What is None is left to the camera."""
 
-    kind: Kind = "opencv"
+    kind: str = "opencv"
     """`opencv`: anything OpenCV opens. The others have depth, and need their maker's package."""
     source: Words | None = None
     """`opencv`: its number, device, address or a video file, 0 unless given. The others: a serial number, or, with
@@ -67,14 +89,9 @@ class CameraSettings(Section):
         """A stream without a frame for this long is opened again, while a look still has time for that."""
         return self.timeout_s / 4
 
-    @classmethod
-    def from_words(cls, words: str) -> CameraSettings:
-        """`"realsense"` or `"realsense:SERIAL"`, likewise `orbbec` and `k4a`; anything else is a source for OpenCV."""
-        kind, _, source = words.partition(":")
-        for known in get_args(Kind):
-            if kind == known != "opencv":
-                return cls(kind=known, source=source or None)
-        return cls(source=words)
+    def open(self, folder: Path) -> OpenCamera:
+        """Open the camera. Raises `CameraError` when it is not there, or cannot be set so."""
+        raise NotImplementedError
 
 
 def check_camera(camera: Camera, *, live: bool = True) -> None:

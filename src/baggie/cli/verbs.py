@@ -78,7 +78,7 @@ _CALIBRATE = Group(
             "Where the camera is, from a target of known size that lies on the table.",
             ("baggie calibrate camera-to-world --intrinsics camera.yaml --out camera-to-world.yaml",),
             f"{_SETTING_UP}:CameraToWorldOptions",
-            f"{_COMMISSIONING}.robot_to_world:calibrate_camera_to_world",
+            f"{_COMMISSIONING}.poses:calibrate_camera_to_world",
         ),
         "robot-to-world": Verb(
             "Where the robot is, by touching points of the target on the table; with --camera-to-world, both composed.",
@@ -86,14 +86,14 @@ _CALIBRATE = Group(
                 "baggie calibrate robot-to-world --camera-to-world camera-to-world.yaml --out robot-to-world.yaml",
             ),
             f"{_SETTING_UP}:RobotToWorldOptions",
-            f"{_COMMISSIONING}.robot_to_world:calibrate_robot_to_world",
+            f"{_COMMISSIONING}.poses:calibrate_robot_to_world",
         ),
         "hand-eye": Verb(
             "Camera and hand together, from a board seen at many poses of the arm; live, or from a recording made "
             "elsewhere.",
             ("baggie calibrate hand-eye --from recording --out hand-eye.yaml",),
             f"{_SETTING_UP}:HandEyeOptions",
-            f"{_COMMISSIONING}.hand_eye:calibrate_hand_eye",
+            f"{_COMMISSIONING}.poses:calibrate_hand_eye",
         ),
         "check": Verb(
             "How far off a calibration is today: the arm visits points it was not made from, and touches a marker.",
@@ -188,7 +188,7 @@ BAGGIE = Group(
             "Make a marker, a board or a goal card as a PDF at true size.",
             ("baggie print-target board --out board.pdf",),
             f"{_SETTING_UP}:PrintOptions",
-            f"{_COMMISSIONING}.printed:print_to_pdf",
+            "baggie.vision.printing:print_to_pdf",
         ),
     },
 )

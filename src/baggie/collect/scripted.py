@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.collect.cell import SIMULATED, OpenCell
+from baggie.collect.cell import OpenCell
 from baggie.collect.demonstrator import Recording, Size
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.data.record import fit, without_depth
@@ -26,6 +26,7 @@ from baggie.tasks.scoring import Score
 from baggie.tasks.task import Task
 from baggie.types import Attempt, Outcome
 from baggie.workcell.workcell import Workcell
+from baggie.workcell.workcell_file import SIMULATED
 
 _NOT_LOOKED_FOR = np.full((4, 2), np.nan)
 ROBOTS = {"cup": "simulated FR3 with a suction cup", "hand": SIMULATED}

@@ -21,7 +21,7 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.cell import SIMULATED, OpenCell, what_opens
+from baggie.collect.cell import OpenCell, what_opens
 from baggie.collect.demonstrator import Recording, Size
 from baggie.collect.machine import Turn, helped, run_turn, stopped
 from baggie.collect.patience import Patience
@@ -38,6 +38,7 @@ from baggie.processes import OpenWorker
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
 from baggie.workcell.workcell import Watch, Workcell
+from baggie.workcell.workcell_file import SIMULATED
 
 COVERAGE_FILE = "coverage.png"
 

@@ -14,7 +14,7 @@ from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison
 from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
-from baggie.commissioning.session import Bench, open_bench
+from baggie.commissioning.session import Session, open_session
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, ToolPose, transform_points
@@ -38,9 +38,9 @@ def check_calibration(options: CheckOptions, *, operator: Operator | None = None
     image_to_robot = ImageToRobot.load(options.map)
     if options.against is not None:
         return _compare(image_to_robot, options)
-    with open_bench(options, operator, prepared=options.prepared) as bench:
-        image_to_robot.camera.check(bench.identity, str(options.map))
-        result = check_live(bench, image_to_robot, options)
+    with open_session(options, operator, prepared=options.prepared) as session:
+        image_to_robot.camera.check(session.identity, str(options.map))
+        result = check_live(session, image_to_robot, options)
     worst = max(result[name]["mean"] for name in ("held_out_mm", "touch_mm") if name in result)
     if worst > options.limit_mm:
         raise CalibrationError(
@@ -50,25 +50,25 @@ def check_calibration(options: CheckOptions, *, operator: Operator | None = None
     return result
 
 
-def check_live(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, Any]:
-    """Background, held-out points, touches: each as far as the map and the bench allow."""
-    bench.assistant.clear_table()
+def check_live(session: Session, image_to_robot: ImageToRobot, options: CheckOptions) -> dict[str, Any]:
+    """Background, held-out points, touches: each as far as the map and what is there allow."""
+    session.assistant.clear_table()
     result: dict[str, Any] = {"map": str(options.map), "stated_std_mm": image_to_robot.std_mm}
     reference = options.map.with_suffix("") / REFERENCE_FILE
     if reference.exists():
-        moved = Watch(read_picture(reference)).moved_px(bench.look().color)
+        moved = Watch(read_picture(reference)).moved_px(session.look().color)
         result["background_moved_px"] = moved
-    result["held_out_mm"] = _summary(_held_out(bench, image_to_robot, options))
-    touches = _touches(bench, image_to_robot, options)
+    result["held_out_mm"] = _summary(_held_out(session, image_to_robot, options))
+    touches = _touches(session, image_to_robot, options)
     if len(touches):
         result["touch_mm"] = _summary(touches)
     return result
 
 
-def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
+def _held_out(session: Session, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
     """`(N, 2)` metres: where the map says the marker in the hand is, less where the arm says it is."""
-    cell, (find, marker) = bench.workcell(), parse_marker(options.marker)
-    bench.assistant.hold(marker, "fix the marker to the hand, facing up")
+    cell, (find, marker) = session.workcell(), parse_marker(options.marker)
+    session.assistant.hold(marker, "fix the marker to the hand, facing up")
     rng = seeds.generator(seeds.CALIBRATION, options.seed, 3)
     low, high = min(image_to_robot.heights_m), max(image_to_robot.heights_m)
     in_hand = np.array(options.marker_in_hand)
@@ -77,15 +77,15 @@ def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions)
         [[*area.sample(rng, MARGIN_M), rng.uniform(low, high)] for _ in range(options.points)]
     )
     errors = []
-    for number, hand, observation in visit(cell.arm, bench.camera, positions, in_hand):
+    for number, hand, observation in visit(cell.arm, session.camera, positions, in_hand):
         pixel = find(observation.color)
         if pixel is not None:
             base = transform_points(hand, in_hand[None])[0]
             at = image_to_robot.at_height(base[2]) if image_to_robot.height_aware else image_to_robot
             error = at.to_robot(pixel)[0] - base[:2]
             errors.append(error)
-            bench.say(f"point {number + 1} of {len(positions)}: {1000 * np.linalg.norm(error):.1f} mm off")
-    bench.assistant.put_away()
+            session.say(f"point {number + 1} of {len(positions)}: {1000 * np.linalg.norm(error):.1f} mm off")
+    session.assistant.put_away()
     if not errors:
         raise CalibrationError(
             f"the marker {options.marker} was seen at none of the points; is it in the hand?"
@@ -93,35 +93,35 @@ def _held_out(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions)
     return np.array(errors)
 
 
-def _touches(bench: Bench, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
+def _touches(session: Session, image_to_robot: ImageToRobot, options: CheckOptions) -> FloatArray:
     """`(N, 2)` metres: how far the fingertips came down from the middle of a marker on the table."""
-    cell, marker = bench.workcell(), parse_target(options.table_marker)
+    cell, marker = session.workcell(), parse_target(options.table_marker)
     if not isinstance(marker, ArucoMarker):
         raise BaggieError(
             f"expected --table-marker aruco:DICTIONARY:NUMBER:SIZE, got {options.table_marker!r}"
         )
     if not image_to_robot.height_aware and abs(image_to_robot.height_m) > 0.005:
-        bench.say("the map is not good for the height of the table: nothing is touched")
+        session.say("the map is not good for the height of the table: nothing is touched")
         return np.zeros((0, 2))
     on_table = image_to_robot.at_height(0.0) if image_to_robot.height_aware else image_to_robot
     find = marker_finder(marker)
     errors, speed = [], cell.arm.at_most(_SPEED_M_S)
     for number in range(options.touches):
-        bench.assistant.lay(
+        session.assistant.lay(
             marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"
         )
-        pixel = find(bench.look().color)
+        pixel = find(session.look().color)
         if pixel is None:
-            bench.say("the marker on the table is not seen")
+            session.say("the marker on the table is not seen")
             continue
         x, y = on_table.to_robot(pixel)[0]
         cell.arm.move_to(ToolPose(x, y, _HOVER_M), speed)
         cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), speed)
-        error = bench.assistant.measure_touch("the fingertips are where the marker's middle should be")
+        error = session.assistant.measure_touch("the fingertips are where the marker's middle should be")
         if error is not None:
             errors.append(error)
-            bench.say(f"touch {number + 1} of {options.touches}: {1000 * np.linalg.norm(error):.1f} mm off")
-    bench.assistant.put_away()
+            session.say(f"touch {number + 1} of {options.touches}: {1000 * np.linalg.norm(error):.1f} mm off")
+    session.assistant.put_away()
     cell.arm.park()
     return np.array(errors).reshape(-1, 2)
 

@@ -9,11 +9,12 @@ from typing import Literal
 from rich.markup import escape
 from rich.table import Table
 
-from baggie.commissioning.assistant import Helper, Person
 from baggie.commissioning.health import HELPED, MOVING, STILL, Check, Doubt, HelpedCheck, NotTriedError
+from baggie.commissioning.session import Helper, Person
 from baggie.errors import BaggieError, NobodyError
 from baggie.operator import Operator, Question, TerminalOperator
 from baggie.options.commissioning import DoctorOptions
+from baggie.workcell.config import open_workcell
 from baggie.workcell.workcell import Workcell
 
 Verdict = Literal["ok", "look", "failed", "not tried"]
@@ -37,8 +38,6 @@ def examine(
     A person is asked whether the arm may move, and to lay and hold what a check needs: the one at the terminal unless
     `operator` is given. A `helper` lays and holds things instead, as simulated workcells and labs do by themselves.
     """
-    from baggie.workcell.config import open_workcell  # noqa: PLC0415 -- the simulator takes its time to import
-
     try:
         cell = open_workcell(options.workcell, options.cell)
     except BaggieError as error:

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.commissioning.assistant import Helper
 from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder
+from baggie.commissioning.session import Helper
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, rotation
 from baggie.options.values import HAND_MARKER

@@ -19,7 +19,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot, check_marker_off
 from baggie.calibration.image_to_robot.residuals import draw_residuals
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.cameras.camera import Camera
-from baggie.commissioning.session import Bench, ViewFolder, open_bench
+from baggie.commissioning.session import Session, ViewFolder, open_session
 from baggie.errors import BaggieError, CalibrationError, DataError, LimitError, ReachError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle, ToolPose, hand_matrix, transform_points
@@ -125,8 +125,8 @@ def calibrate_image_to_robot(
     if options.from_ is not None:
         result = _fit_folder(options.from_, options)
     else:
-        with open_bench(options, operator, prepared=options.prepared) as bench:
-            result = calibrate_image_to_robot_live(bench, options)
+        with open_session(options, operator, prepared=options.prepared) as session:
+            result = calibrate_image_to_robot_live(session, options)
     result.save(options.out)
     picture = options.out.with_suffix(".png")
     drawn = write_if_possible(picture, partial(draw_residuals, result))
@@ -153,11 +153,11 @@ def check_command(options: ImageToRobotOptions) -> str:
     return shlex.join(words)
 
 
-def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) -> ImageToRobot:
+def calibrate_image_to_robot_live(session: Session, options: ImageToRobotOptions) -> ImageToRobot:
     """Drive the marker over the grid; every point found is kept at once."""
-    cell, (find, marker) = bench.workcell(), parse_marker(options.marker)
+    cell, (find, marker) = session.workcell(), parse_marker(options.marker)
     header = {
-        "camera": bench.identity.to_yaml(),
+        "camera": session.identity.to_yaml(),
         "marker": options.marker,
         "heights_m": options.heights,
     }
@@ -167,21 +167,21 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
     wanted = _within_reach(wanted, in_hand, cell.settings.limits)
     visited = {view["point"] for view in folder.views}
     missing = np.array([number for number in range(len(wanted)) if number not in visited], int)
-    bench.assistant.clear_table()
+    session.assistant.clear_table()
     reference = folder.folder / REFERENCE_FILE
     if not reference.exists():  # what goes on must not forget where the camera stood when it was begun
-        write_picture(reference, bench.look().color)
-    bench.assistant.hold(
+        write_picture(reference, session.look().color)
+    session.assistant.hold(
         marker, "fix the marker to the hand, facing up; nobody comes near the arm from now on"
     )
     try:
-        with progress(bench.operator, "driving over the workspace", len(wanted), len(visited)) as advance:
-            for number, hand, observation in visit(cell.arm, bench.camera, wanted[missing], in_hand):
+        with progress(session.operator, "driving over the workspace", len(wanted), len(visited)) as advance:
+            for number, hand, observation in visit(cell.arm, session.camera, wanted[missing], in_hand):
                 pixel = find(observation.color)
                 words = f"point {missing[number] + 1} of {len(wanted)}: " + (
                     "no marker" if pixel is None else "found"
                 )
-                bench.show(folder.folder, observation.color, _as_seen(pixel), words)
+                session.show(folder.folder, observation.color, _as_seen(pixel), words)
                 if pixel is not None:
                     view = {
                         "point": int(missing[number]),
@@ -194,9 +194,9 @@ def calibrate_image_to_robot_live(bench: Bench, options: ImageToRobotOptions) ->
         raise KeyboardInterrupt(
             f"interrupted after {len(folder)} of {len(wanted)} points; the same command again goes on"
         ) from None
-    bench.assistant.put_away()
+    session.assistant.put_away()
     cell.arm.park()
-    return _fit(folder.views, bench.identity, options)
+    return _fit(folder.views, session.identity, options)
 
 
 def _within_reach(positions: FloatArray, marker_in_hand: FloatArray, limits: Limits) -> FloatArray:

@@ -17,7 +17,7 @@ from baggie.calibration.intrinsics.fit import (
     is_new,
     next_view,
 )
-from baggie.commissioning.session import Bench, ViewFolder, open_bench
+from baggie.commissioning.session import Session, ViewFolder, open_session
 from baggie.errors import CalibrationError, CameraError
 from baggie.files import write_if_possible
 from baggie.operator import Operator
@@ -40,8 +40,8 @@ def calibrate_intrinsics(options: IntrinsicsOptions, *, operator: Operator | Non
         name = options.name or options.from_.resolve().stem
         calibration = calibrate_intrinsics_from(options.from_, parse_target(options.board), name)
     else:
-        with open_bench(options, operator) as bench:
-            calibration = calibrate_intrinsics_live(bench, options)
+        with open_session(options, operator) as session:
+            calibration = calibrate_intrinsics_live(session, options)
     calibration.save(options.out)
     result: dict[str, Any] = {"calibration": str(options.out), **calibration.summary()}
     if calibration.views:
@@ -54,11 +54,11 @@ def calibrate_intrinsics(options: IntrinsicsOptions, *, operator: Operator | Non
     return result
 
 
-def calibrate_intrinsics_live(bench: Bench, options: IntrinsicsOptions) -> CameraCalibration:
+def calibrate_intrinsics_live(session: Session, options: IntrinsicsOptions) -> CameraCalibration:
     """Take pictures of the board until they cover view, tilt and distance; each is kept at once."""
     target = parse_target(options.board)
     folder = ViewFolder(
-        options.out.with_suffix(""), {"board": target.spec, "camera": bench.identity.to_yaml()}
+        options.out.with_suffix(""), {"board": target.spec, "camera": session.identity.to_yaml()}
     )
     views = []
     for view in folder.views:
@@ -66,32 +66,32 @@ def calibrate_intrinsics_live(bench: Bench, options: IntrinsicsOptions) -> Camer
         if seen is not None:
             views.append(BoardView(view["image"], seen))
     if views:
-        bench.say(f"going on with the {len(views)} pictures in {folder.folder}")
+        session.say(f"going on with the {len(views)} pictures in {folder.folder}")
     try:
         for _ in range(MAX_LOOKS):
-            hint = next_view(views, bench.identity, target)
+            hint = next_view(views, session.identity, target)
             if hint is None:
                 break
-            bench.assistant.show(target, hint)
+            session.assistant.show(target, hint)
             try:
-                picture = bench.camera.look().color
+                picture = session.camera.look().color
             except CameraError:
                 if not views:
                     raise
                 break  # a video is over, or the cable came off: what was seen may be enough
             seen = target.detect(picture)
-            bench.show(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
+            session.show(folder.folder, picture, seen, f"{len(views)} pictures. {hint}")
             if seen is not None and is_new(views, seen):
                 folder.append({}, picture)
                 views.append(BoardView(folder.views[-1]["image"], seen))
-                bench.say(f"picture {len(views)}: {len(seen.ids)} corners")
+                session.say(f"picture {len(views)}: {len(seen.ids)} corners")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted with {len(views)} pictures in {folder.folder}; the same command again goes on"
         ) from None
     if not views:
         raise CalibrationError(
-            f"no board {target.spec} was seen: {target.why_not(bench.camera.look().color)}"
+            f"no board {target.spec} was seen: {target.why_not(session.camera.look().color)}"
         )
-    bench.assistant.put_away()
-    return fit_intrinsics(views, bench.identity, target)
+    session.assistant.put_away()
+    return fit_intrinsics(views, session.identity, target)

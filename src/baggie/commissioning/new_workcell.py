@@ -1,38 +1,31 @@
-"""`baggie workcell new`: asks a person about their workcell, and writes the file.
+"""`baggie workcell new` asks a person about a workcell and writes its file; `baggie workcell show` says what one means.
 
-What `baggie workcell new` asks about an arm: for each kind what it needs, and what goes with it.
-
-`baggie workcell show`: all that a workcell file says, and what follows from it.
+An arm of a kind that is not in `ASKED`, another package's, is asked for what has no default.
 """
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import yaml
+from pydantic import BaseModel, ValidationError, create_model
 
-from baggie.cameras.camera import Kind
+from baggie.cameras.camera import CameraSettings
 from baggie.cameras.opencv import is_live
-from baggie.commissioning.questions import bounds, color, entry, number, several, spaced, word
 from baggie.errors import BaggieError, DataError, explained
 from baggie.files import parse_yaml, write_text
-from baggie.operator import Operator, Question, TerminalOperator, choice
+from baggie.operator import Answer, Operator, Parse, Question, TerminalOperator, choice
 from baggie.options.commissioning import NewWorkcellOptions, ShowWorkcellOptions
-from baggie.robot.arm import ArmInfo
-from baggie.robot.franka.models import MODELS
-from baggie.workcell.workcell_file import (
-    Bag,
-    Bounds,
-    FrankaEntry,
-    LeRobotEntry,
-    PythonEntry,
-    WorkcellFile,
-    read_workcell_file,
-)
+from baggie.registry import ARMS, CAMERAS
+from baggie.robot.arm import ArmInfo, PythonArmEntry
+from baggie.robot.franka import FrankaEntry
+from baggie.robot.lerobot import LeRobotEntry
+from baggie.workcell.workcell_file import Bag, Bounds, WorkcellFile, read_workcell_file
 
 _NONE = "-"
 _NARROWEST_M, _WIDEST_M = 0.01, 0.3
@@ -58,8 +51,6 @@ class NewArm:
     """Of the section `arm`, but for its kind."""
     beside: Mapping[str, Any] = field(default_factory=dict)
     """What else the file has to say because of it."""
-    real: bool = True
-    """Whether it needs a camera."""
     workspace: Bounds = field(default_factory=Bounds)
     """Where bags may lie, unless a person says otherwise."""
 
@@ -119,7 +110,7 @@ def ask_factory(operator: Operator, what: str) -> dict[str, Any]:
     words = (
         f"what makes the {what}, as module:function; the module is installed, or lies in this file's folder"
     )
-    factory = operator.ask(Question(words, f"own_{what}:open_{what}", entry(PythonEntry, "factory")))
+    factory = operator.ask(Question(words, f"own_{what}:open_{what}", entry(PythonArmEntry, "factory")))
     words = f"what it is given, as name=value apart by spaces, or {_NONE} for nothing"
     return {"factory": factory, **operator.ask(Question(words, _NONE, _options))}
 
@@ -131,22 +122,31 @@ def _replay(operator: Operator, folder: Path) -> NewArm:
         return answer
 
     words = "the recording's folder, from this file's own"
-    return NewArm({"recording": operator.ask(Question(words, None, recording))}, real=False)
+    return NewArm({"recording": operator.ask(Question(words, None, recording))})
 
 
 def _sim(operator: Operator, _folder: Path) -> NewArm:
     cell = operator.ask(Question("number of the simulated cell", "0", entry(WorkcellFile, "cell")))
-    return NewArm({}, {"cell": cell}, real=False)
+    return NewArm({}, {"cell": cell})
 
 
-ARMS: Mapping[str, Callable[[Operator, Path], NewArm]] = {
+ASKED: Mapping[str, Callable[[Operator, Path], NewArm]] = {
     "franka": _franka,
     "lerobot": _lerobot,
     "python": _python,
     "replay": _replay,
     "sim": _sim,
 }
-"""By kind; each is told the folder that the file will be in."""
+"""By kind; each is told the folder that the file will be in. Of others, what has no default is asked."""
+
+
+def required(operator: Operator, model: type[BaseModel]) -> dict[str, Any]:
+    """Ask for each entry of a section that has to be there."""
+    return {
+        name: operator.ask(Question(field.description or f"its {name}", None, entry(model, name)))
+        for name, field in model.model_fields.items()
+        if field.is_required() and name != "kind"
+    }
 
 
 def _speed(operator: Operator, default: float) -> float:
@@ -172,7 +172,7 @@ def _options(answer: str) -> dict[str, Any]:
         name, equals, value = part.partition("=")
         if not (equals and name.isidentifier()):
             raise ValueError(f"expected name=value, got {part}")
-        if name in PythonEntry.model_fields:
+        if name in PythonArmEntry.model_fields:
             raise ValueError(f"expected another name than {name}, which is the file's own")
         try:
             options[name] = parse_yaml(value, name)
@@ -203,11 +203,11 @@ def new_workcell(options: NewWorkcellOptions, *, operator: Operator | None = Non
 
 
 def _content(operator: Operator, folder: Path) -> dict[str, Any]:
-    words = "which arm: franka; lerobot, a robot that LeRobot drives; python, one of your own; replay, a recording; sim"
-    kind = operator.ask(choice(words, "franka", tuple(ARMS)))
-    arm: NewArm = ARMS[kind](operator, folder)
+    arms = ARMS.all()
+    kind = _kind(operator, "arm", "franka", {name: arms[name].about for name in sorted(arms)})
+    arm = ASKED[kind](operator, folder) if kind in ASKED else NewArm(required(operator, arms[kind]))
     content: dict[str, Any] = {"arm": {"kind": kind, **arm.entry}}
-    if arm.real:
+    if arms[kind].real:
         content["camera"] = _camera(operator)
     words = "where bags may lie, in metres from the robot's base: forward, from and to"
     x = operator.ask(Question(words, spaced(arm.workspace.x), bounds))
@@ -216,21 +216,26 @@ def _content(operator: Operator, folder: Path) -> dict[str, Any]:
     )
     content |= {"workspace": {"x": x, "y": y}, **arm.beside}
     if kind != "replay":  # which shows the bags that it has
-        content["bag"] = _bag(operator, arm.real)
+        content["bag"] = _bag(operator, arms[kind].real)
     return content
 
 
+def _kind(operator: Operator, what: str, usual: str, about: Mapping[str, str]) -> str:
+    """One of these kinds, each with what it is."""
+    each = [f"{kind}, {words}" if words else kind for kind, words in about.items()]
+    return operator.ask(choice(f"which {what}: {'; '.join(each)}", usual, tuple(about)))
+
+
 def _camera(operator: Operator) -> dict[str, Any]:
-    words = (
-        "which camera: opencv, a USB or network camera or a video file; realsense, orbbec or k4a, with depth; python, "
-        "one of your own"
-    )
-    kind = operator.ask(choice(words, "opencv", (*get_args(Kind), "python")))
+    cameras = {kind: model for kind, model in CAMERAS.all().items() if model.real}
+    kind = _kind(operator, "camera", "opencv", {name: model.about for name, model in cameras.items()})
     if kind == "python":
         return {"kind": kind, **ask_factory(operator, "camera")}
     if kind == "opencv":
         words = "its number, device or address, or the video file"
         return {"kind": kind, "source": operator.ask(Question(words, "0", _source))}
+    if not issubclass(cameras[kind], CameraSettings):
+        return {"kind": kind, **required(operator, cameras[kind])}
     recording = " or the file of a recording" if kind == "realsense" else ""
     source = operator.ask(
         Question(f"its serial number{recording}, or any for the only one plugged in", "any", str)
@@ -272,15 +277,72 @@ def _simulated_sides(answer: str) -> list[float]:
     return sides
 
 
-def _arm_info(written: WorkcellFile, path: Path) -> ArmInfo | None:
-    """What the arm can do; None for one that is not real. Raises as `baggie.workcell.config.arm_of` does."""
-    if isinstance(written.arm, FrankaEntry):
-        return MODELS[written.arm.model].info(written.arm.host)
-    if not isinstance(written.arm, LeRobotEntry | PythonEntry):
-        return None
-    from baggie.workcell.config import arm_of  # noqa: PLC0415 -- MuJoCo takes its time, and may not be whole
+def entry(model: type[BaseModel], name: str) -> Parse[Any]:
+    """What this entry of a file may be, by the rules of its reader."""
+    field = model.model_fields[name]
+    assert field.annotation is not None
+    alone: type[BaseModel] = create_model("Alone", answer=(field.annotation, field))
 
-    return arm_of(written, path)
+    def parse(answer: str) -> Any:
+        try:
+            return alone.model_validate({"answer": answer}).model_dump(mode="json")["answer"]
+        except ValidationError as error:
+            raise _in_words(error) from None
+
+    return parse
+
+
+def _in_words(error: ValidationError) -> ValueError:
+    return ValueError(error.errors()[0]["msg"].removeprefix("Value error, "))
+
+
+def word(answer: str) -> str:
+    """Anything without spaces."""
+    if len(answer.split()) != 1:
+        raise ValueError("expected one word")
+    return answer
+
+
+def number(answer: str) -> float:
+    """A finite number."""
+    value = float(answer)
+    if not math.isfinite(value):
+        raise ValueError("expected a finite number")
+    return value
+
+
+def several(parse: Parse[Answer], count: int | None = None) -> Parse[list[Answer]]:
+    """So many, or any number of them, apart by spaces or commas."""
+
+    def parse_all(answer: str) -> list[Answer]:
+        words = answer.replace(",", " ").split()
+        if count is not None and len(words) != count:
+            raise ValueError(f"expected {count} of them, apart by spaces")
+        return [parse(one) for one in words]
+
+    return parse_all
+
+
+def bounds(answer: str) -> list[float]:
+    """Two numbers, the lower one first: what a workspace's bounds may be."""
+    low, high = several(number, 2)(answer)
+    try:
+        return list(Bounds(x=(low, high)).x)
+    except ValidationError as error:
+        raise _in_words(error) from None
+
+
+def color(answer: str) -> list[int]:
+    """Red, green, blue of 255."""
+    values = several(int, 3)(answer)
+    if not all(0 <= value <= 255 for value in values):
+        raise ValueError("expected three numbers of 0 to 255")
+    return values
+
+
+def spaced(values: tuple[Any, ...]) -> str:
+    """A default of several, as a person would type it."""
+    return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
 
 
 def shown_workcell(options: ShowWorkcellOptions) -> dict[str, Any]:
@@ -294,7 +356,7 @@ def shown_workcell(options: ShowWorkcellOptions) -> dict[str, Any]:
     arm: ArmInfo | None = None
     gripper = "of no real arm"
     try:
-        arm = _arm_info(written, path)
+        arm = written.arm.info(path.parent)
     except BaggieError as error:
         gripper = f"not known here: {error}"
     except ImportError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie import seeds
-from baggie.commissioning.printed import T_world_target
+from baggie.calibration.point_registration import T_world_target
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform, rigid, transform_points
 from baggie.lab.web import LabControl

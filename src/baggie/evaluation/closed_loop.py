@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import torch
 
-from baggie.collect.cell import robot_of
 from baggie.errors import BaggieError
 from baggie.evaluation.episode import run_episode
 from baggie.evaluation.log import Episode, append_episode, read_episodes
@@ -119,7 +118,7 @@ def _robot(options: EvaluateOptions) -> dict[str, Any]:
         return {}
     from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
 
-    return {"robot": robot_of(read_workcell_file(options.workcell), options.workcell)}
+    return {"robot": read_workcell_file(options.workcell).arm.title(options.workcell.parent)}
 
 
 def _same_evaluation(options: EvaluateOptions, terms: Terms) -> None:

@@ -1,13 +1,22 @@
-"""What an arm must offer. `pick` and `place` are written once over this; a new arm implements eight methods."""
+"""What an arm must offer, and what a workcell file says of one: the section `arm`.
+
+`pick` and `place` are written once over the protocol `Arm`; a new arm implements eight methods.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, runtime_checkable
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
+from pydantic import ConfigDict, Field
+
+from baggie.entries import Section
+from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
+from baggie.registry import lacking, made_by
 
 CLEAR_Z_M = 0.1
 """A height above all that lies on a table, metres."""
@@ -107,3 +116,75 @@ def foresee(arm: Arm, way: Sequence[ToolPose]) -> float:
     if isinstance(arm, ForeseeingArm):
         return arm.foresee(way)
     return sum(abs(wrap_angle(after.yaw - before.yaw)) for before, after in pairwise([arm.pose(), *way]))
+
+
+class ArmEntry(Section):
+    """The section `arm` of a workcell file, of one kind. `baggie.registry.ARMS` has a subclass for each."""
+
+    kind: str
+    """The word it is registered by."""
+
+    real: ClassVar[bool] = True
+    """Whether it is a robot, of which there is one, and which needs a real camera."""
+    about: ClassVar[str] = ""
+    """What it is, in a few words, for a person who chooses."""
+
+    def open(self, folder: Path) -> Arm:
+        """Make the arm, which connects at its first use; paths in the section begin in `folder`.
+
+        Raises `BaggieError` where it cannot be made here.
+        """
+        raise NotImplementedError
+
+    def info(self, folder: Path) -> ArmInfo | None:
+        """What the arm can do, nothing connected; None for one that is not real. Raises as `open` does."""
+        arm = self.open(folder)
+        let_go(arm)
+        return arm.info
+
+    def title(self, folder: Path) -> str:
+        """What a recording says moved. Raises as `open` does."""
+        info = self.info(folder)
+        return self.kind if info is None else info.name
+
+
+@runtime_checkable
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+def let_go(*devices: object) -> None:
+    """Close those arms and cameras that have a `close`."""
+    for device in devices:
+        if isinstance(device, _Closable):
+            device.close()
+
+
+class PythonArmEntry(ArmEntry):
+    """An arm of one's own. Every other entry is an option of its factory."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    about: ClassVar[str] = "one of your own"
+    factory: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`; the module may be in the file's own folder."""
+
+    def open(self, folder: Path) -> Arm:
+        """Make the arm. Raises as `open_python_arm` does."""
+        return open_python_arm(self.factory, self.model_extra or {}, folder)
+
+
+def open_python_arm(factory: str, options: Mapping[str, Any], folder: Path) -> Arm:
+    """What `factory` makes of `options`: `"my_lab.my_arm:open_arm"`, a function or class in a module.
+
+    The module is looked for where Python looks, then in `folder`. Raises `BaggieError` when it cannot be imported, does
+    not take these options, or makes no `Arm`; whatever the factory itself raises is passed on.
+    """
+    arm = made_by(factory, options, folder, "arm")
+    if not isinstance(arm, Arm) or not isinstance(arm.info, ArmInfo):
+        wrong = lacking(arm, Arm) or "has an `info` that is no ArmInfo"
+        raise BaggieError(
+            f"{factory} made a {type(arm).__name__}, which is no Arm: it {wrong}; see baggie/robot/arm.py"
+        )
+    return arm

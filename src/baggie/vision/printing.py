@@ -1,4 +1,4 @@
-"""Targets and goal cards on paper: PDF files at true size, drawn as vectors.
+"""`baggie print-target`: targets and goal cards on paper, PDF files at true size, drawn as vectors.
 
 Every page says in words what is on it and has a ruler to check the printer with. Coordinates in this file are
 millimetres from the page's top left corner, x right and y down.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -21,9 +22,10 @@ from matplotlib.path import Path as Outline
 from baggie.errors import BaggieError, UsageError
 from baggie.files import write_bytes
 from baggie.geometry import FloatArray
-from baggie.options.values import CARD_COLOR, DrawnStyle
+from baggie.options.commissioning import PrintOptions
+from baggie.options.values import BOARD, CARD_COLOR, HAND_BOARD, HAND_MARKER, TABLE_MARKER, DrawnStyle
 from baggie.vision.pattern import pattern
-from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0)}
 """Width and height upright, mm (ISO 216)."""
@@ -214,3 +216,43 @@ def _save(figure: Figure, path: Path, title: str) -> None:
         # Without a date, the same target is the same file.
         figure.savefig(content, format="pdf", metadata={"Title": title, "CreationDate": None})
     write_bytes(path, content.getvalue())
+
+
+NAMED = {
+    "hand-marker": (HAND_MARKER, "A4"),
+    "table-marker": (TABLE_MARKER, "A4"),
+    "board": (BOARD, "A3"),
+    "hand-board": (HAND_BOARD, "A4"),
+}
+"""The targets that the calibrations use unless told otherwise, and the paper that each fits."""
+GOAL_CARD = "goal-card"
+
+
+def print_to_pdf(options: PrintOptions) -> dict[str, Any]:
+    """Write the PDF; where it is, and what to do with it.
+
+    Raises `UsageError` for what is no target, paper or PDF, `BaggieError` for what fits no paper.
+    """
+    out = options.out or Path(f"{options.target.replace(':', '-')}.pdf")
+    if out.suffix.lower() != ".pdf":
+        raise UsageError(f"expected a file that ends in .pdf, got {out}")
+    spec, paper = NAMED.get(options.target, (options.target, "A4"))
+    paper = options.paper or paper
+    if options.target == GOAL_CARD:
+        spec = f"a square of {options.size * 1000:.0f} mm"
+        print_goal_card(out, options.size, options.color, paper)
+    else:
+        print_target(_target(spec), out, paper)
+    return {
+        "pdf": str(out),
+        "target": spec,
+        "paper": paper,
+        "next": "print at 100%, not fitted to the page; measure the ruler; glue it to something flat",
+    }
+
+
+def _target(spec: str) -> Target:
+    try:
+        return parse_target(spec)
+    except BaggieError as error:
+        raise UsageError(str(error)) from None

@@ -9,43 +9,19 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.robot_to_world import CameraToRobot
-from baggie.cameras.camera import Camera, CameraSettings
+from baggie.cameras.camera import Camera
 from baggie.cameras.live import LiveCamera
-from baggie.cameras.opening import open_camera
-from baggie.data import open_dataset
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
-from baggie.robot.arm import Arm, ArmInfo
-from baggie.robot.franka.arm import FrankaArm
-from baggie.robot.lerobot.arm import LeRobotArm
-from baggie.robot.lerobot.link import open_robot
+from baggie.robot.arm import Arm, let_go
 from baggie.robot.limits import Watchdog
-from baggie.robot.python_devices import open_python_arm, open_python_camera
-from baggie.sim.bag import Bag
-from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import Calibrations, Workcell, WorkcellSettings
-from baggie.workcell.workcell_file import (
-    CalibrationFiles,
-    FrankaEntry,
-    LeRobotEntry,
-    PythonEntry,
-    ReplayEntry,
-    SimulatedEntry,
-    WorkcellFile,
-    read_workcell_file,
-)
-
-
-@runtime_checkable
-class _Closable(Protocol):
-    def close(self) -> None: ...
+from baggie.workcell.workcell_file import CalibrationFiles, WorkcellFile, read_workcell_file
 
 
 class RealWorkcell(Workcell):
@@ -89,13 +65,6 @@ class RealWorkcell(Workcell):
         let_go(*self._devices)
 
 
-def let_go(*devices: object) -> None:
-    """Close those that have a `close`."""
-    for device in devices:
-        if isinstance(device, _Closable):
-            device.close()
-
-
 _STRAY_M = 0.08
 """So far beyond the workspace the hand may stray after an object at its edge."""
 
@@ -107,6 +76,8 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
     points to is of another camera.
     """
     if str(source) == "sim":
+        from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415 -- MuJoCo takes its time
+
         return SimulatedWorkcell(cell)
     path = Path(source)
     return open_written(read_workcell_file(path), path)
@@ -125,13 +96,6 @@ def open_written(written: WorkcellFile, path: Path) -> Workcell:
 
 
 def _open(written: WorkcellFile, path: Path) -> Workcell:
-    bag = Bag(
-        length_m=written.bag.length_m,
-        width_m=written.bag.width_m,
-        shape="long" if written.bag.long else "square",
-        mass_kg=written.bag.mass_kg,
-        color=written.bag.color,
-    )
     defaults, bounds = WorkcellSettings(), written.workspace
     gate = Rectangle(
         bounds.x[0] - _STRAY_M, bounds.x[1] + _STRAY_M, bounds.y[0] - _STRAY_M, bounds.y[1] + _STRAY_M
@@ -147,58 +111,24 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
             **written.limits.model_dump(),
         ),
         handling=written.handled().handling,
-        object_color=bag.color,
+        object_color=written.bag.color,
         object_size_m=written.bag.thing.size_m,
         object_hard=written.bag.hard,
-        object_symmetry=bag.symmetry,
+        object_symmetry=written.bag.simulated.symmetry,
         sure_within_m=written.sure_within_m,
     )
-    entry = written.arm
-    if isinstance(entry, ReplayEntry):
-        return ReplayWorkcell(open_dataset(path.parent / entry.recording), settings)
-    if isinstance(entry, SimulatedEntry):
-        return SimulatedWorkcell(
-            written.cell, settings=settings, things=(bag,), picture_size=written.picture_size
-        )
-    arm = _open_arm(entry, path.parent)
+    if written.own_cell:
+        return written.own_cell.workcell(written, settings, path.parent)
+    assert written.camera is not None  # or the file would have been refused
+    arm = written.arm.open(path.parent)
     try:
         if line := written.contradiction(arm.info):
             raise BaggieError(f"{path}: {line}")
-        assert isinstance(written.camera, CameraSettings | PythonEntry)  # or the file would have been refused
-        camera = _open_camera(written.camera, path.parent)
+        camera = written.camera.open(path.parent)
     except BaggieError:
         let_go(arm)
         raise
     return RealWorkcell(arm, camera, replace(settings, handling=written.handled(arm.info).handling))
-
-
-def arm_of(written: WorkcellFile, path: Path) -> ArmInfo | None:
-    """What the arm that is `written` in the file `path` can do, nothing connected; None for one that is not real.
-
-    Raises `BaggieError` where it cannot be made here.
-    """
-    if not isinstance(written.arm, FrankaEntry | LeRobotEntry | PythonEntry):
-        return None
-    arm = _open_arm(written.arm, path.parent)
-    let_go(arm)
-    return arm.info
-
-
-def _open_arm(entry: FrankaEntry | LeRobotEntry | PythonEntry, folder: Path) -> Arm:
-    if isinstance(entry, FrankaEntry):
-        return FrankaArm(entry.host, entry.model, speed=entry.speed, realtime=entry.realtime)
-    if isinstance(entry, PythonEntry):
-        return open_python_arm(entry.factory, entry.model_extra or {}, folder)
-    given = {"port": entry.port, "id": entry.id}
-    options = {name: value for name, value in given.items() if value is not None} | entry.options
-    model = folder / entry.model
-    return LeRobotArm(open_robot(entry.type, options), entry.model_copy(update={"model": model}))
-
-
-def _open_camera(entry: CameraSettings | PythonEntry, folder: Path) -> Camera:
-    if isinstance(entry, PythonEntry):
-        return open_python_camera(entry.factory, entry.model_extra or {}, folder)
-    return open_camera(entry)
 
 
 def _around(a: Rectangle, b: Rectangle) -> Rectangle:

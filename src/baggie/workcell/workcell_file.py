@@ -8,32 +8,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, field_validator, model_validator
 
-from baggie.cameras.camera import CameraSettings
-from baggie.entries import Metres, Section, Words, explain
+from baggie.cameras import settings_of
+from baggie.cameras.camera import CameraEntry
+from baggie.entries import Metres, OfKind, Section, explain
 from baggie.errors import BaggieError
 from baggie.files import parse_yaml, read_text
 from baggie.options.values import Color, Seed
-from baggie.robot.arm import ArmInfo
-from baggie.robot.franka.models import ModelName
+from baggie.registry import ARMS, CAMERAS
+from baggie.robot.arm import ArmEntry, ArmInfo
 from baggie.robot.handling_rules import SIMULATED_HANDLING, Handled, Thing, contradiction, handled
-from baggie.robot.lerobot.link import LeRobotSettings
 from baggie.robot.limits import Limits
 from baggie.robot.primitives import Handling
 from baggie.sim.bag import FULL_HEIGHT_M, LONG_ASPECT
+from baggie.sim.bag import Bag as SimulatedBag
 from baggie.sim.cell import LARGEST_SIDE, PICTURE_SIZE, SMALLEST_SIDE
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Workcell, WorkcellSettings
+
+SIMULATED = "simulated FR3"
+"""What a recording in a simulated workcell says moved."""
 
 _SIMULATED_M = (0.06, 0.2)
 """Sides of a simulated bag."""
@@ -94,6 +90,17 @@ class Bag(Section):
         """What is handled."""
         return Thing((self.length_m, self.width_m, self.height_m), self.hard, self.long)
 
+    @property
+    def simulated(self) -> SimulatedBag:
+        """The bag of a simulated cell."""
+        return SimulatedBag(
+            length_m=self.length_m,
+            width_m=self.width_m,
+            shape="long" if self.long else "square",
+            mass_kg=self.mass_kg,
+            color=self.color,
+        )
+
     def recorded(self) -> dict[str, Any]:
         """What a recording says of it: `height_m` and `hard`, which older ones do not know, where they are unusual."""
         usual = Bag()
@@ -123,66 +130,87 @@ class Bag(Section):
 _LIMITS = WorkcellSettings().limits
 
 
-class SimulatedEntry(Section):
+class CellEntry(ArmEntry):
+    """An arm that is no robot: it comes with a workcell, camera and table, of its own."""
+
+    real: ClassVar[bool] = False
+
+    def info(self, folder: Path) -> ArmInfo | None:
+        """None: nobody has to know what it can do."""
+        return None
+
+    def usual(self, bag: Bag) -> tuple[Handling, Thing]:
+        """From what the handling of a bag follows."""
+        return Handling(), bag.thing
+
+    def check_bag(self, bag: Bag) -> None:
+        """Raise `ValueError` for what cannot lie there."""
+
+    def check_camera(self, camera: CameraEntry | None) -> None:
+        """Raise `ValueError` for a camera that it has no use for."""
+
+    def workcell(self, written: WorkcellFile, settings: WorkcellSettings, folder: Path) -> Workcell:
+        """The workcell, open. Raises `BaggieError`."""
+        raise NotImplementedError
+
+
+class SimulatedEntry(CellEntry):
     """`arm: sim` for short."""
 
     kind: Literal["sim"] = "sim"
 
+    def title(self, folder: Path) -> str:
+        """As the arm has it."""
+        return SIMULATED
 
-class ReplayEntry(Section):
+    def usual(self, bag: Bag) -> tuple[Handling, Thing]:
+        """As it always was, whatever the bag."""
+        return SIMULATED_HANDLING, Bag().thing
+
+    def check_bag(self, bag: Bag) -> None:
+        """Raise `ValueError` for what the simulated bag, a soft pillow, cannot be."""
+        bag.check_simulated()
+
+    def check_camera(self, camera: CameraEntry | None) -> None:
+        """Raise `ValueError` for a real one."""
+        if camera is not None and camera.real:
+            raise ValueError(
+                "the arm 'sim' sees with a camera of its own; give its `width` and `height`, or leave `camera` out"
+            )
+
+    def workcell(self, written: WorkcellFile, settings: WorkcellSettings, folder: Path) -> Workcell:
+        """The cell with the number in the file, with its bag."""
+        from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415 -- MuJoCo takes its time
+
+        size, things = written.picture_size, (written.bag.simulated,)
+        return SimulatedWorkcell(written.cell, settings=settings, things=things, picture_size=size)
+
+
+class ReplayEntry(CellEntry):
     """No arm: a recording is shown."""
 
-    kind: Literal["replay"]
+    kind: Literal["replay"] = "replay"
+    about: ClassVar[str] = "a recording"
     recording: Path
     """Its folder, from the workcell file's own."""
 
+    def check_camera(self, camera: CameraEntry | None) -> None:
+        """Raise `ValueError` for any."""
+        if camera is not None:
+            raise ValueError("the arm 'replay' shows what a camera saw; leave `camera` out")
 
-class FrankaEntry(Section):
-    """A real arm, or one behind the same protocol."""
+    def workcell(self, written: WorkcellFile, settings: WorkcellSettings, folder: Path) -> Workcell:
+        """The recording's. Raises `DataError` where it cannot be read."""
+        from baggie.data import open_dataset  # noqa: PLC0415 -- pyarrow takes its time
+        from baggie.workcell.replay import ReplayWorkcell  # noqa: PLC0415
 
-    kind: Literal["franka"]
-    host: Words = Field(min_length=1)
-    """The address of its control box."""
-    model: ModelName = "fr3"
-    speed: float = Field(0.1, gt=0, le=1)
-    """The share of every speed that it really goes at: as slow as this until a person has watched it work."""
-    realtime: bool = True
-    """Whether to refuse to move it from a computer without a real-time kernel."""
-
-
-class LeRobotEntry(LeRobotSettings):
-    """A robot of LeRobot's. `model` is looked for from the workcell file's own folder."""
-
-    kind: Literal["lerobot"]
-    type: Words = Field(min_length=1)
-    """LeRobot's name for it, `so101_follower`."""
-    port: Words | None = None
-    id: Words | None = None
-    """The name of its calibration."""
-    options: dict[str, Any] = Field(default_factory=dict)
-    """Whatever else LeRobot's configuration of this type takes."""
+        return ReplayWorkcell(open_dataset(folder / self.recording), settings)
 
 
-class PythonEntry(BaseModel):
-    """An arm, or a camera, of one's own. Every other entry is an option of its factory."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    kind: Literal["python"]
-    factory: str = Field(pattern=r"^[\w.]+:\w+$")
-    """`my_lab.my_arm:open_arm`, a function or class that makes an `Arm`, or a `Camera`; the module may be in the file's
-    own folder."""
-
-
-REAL_ARMS = (FrankaEntry, LeRobotEntry, PythonEntry)
-
-
-def _kind_alone(entry: Any) -> Any:
-    return {"kind": entry} if isinstance(entry, str) else entry
-
-
-class SimulatedCameraEntry(Section):
+class SimulatedCameraEntry(CameraEntry):
     """The camera of a simulated workcell, `camera: {width: 640, height: 480}`."""
+
+    real: ClassVar[bool] = False
 
     kind: Literal["sim"] = "sim"
     width: int = Field(PICTURE_SIZE[0], ge=SMALLEST_SIDE, le=LARGEST_SIDE)
@@ -190,25 +218,17 @@ class SimulatedCameraEntry(Section):
     height: int = Field(PICTURE_SIZE[1], ge=SMALLEST_SIDE, le=LARGEST_SIDE)
 
 
-def _camera_kind(entry: Any) -> Any:
+def _arm_in_full(entry: Any) -> Any:
+    return {"kind": entry} if isinstance(entry, str) else entry
+
+
+def _camera_in_full(entry: Any) -> Any:
     """The entry with its kind: `camera: 0` for short, and a section with a width or a height is a simulated one's."""
     if isinstance(entry, (str, int)) and not isinstance(entry, bool):
-        return CameraSettings.from_words(str(entry))
+        return settings_of(str(entry))
     if isinstance(entry, Mapping) and "kind" not in entry:
         return {"kind": "sim" if {"width", "height"} & entry.keys() else "opencv", **entry}
     return entry
-
-
-ArmEntry = Annotated[
-    Annotated[
-        SimulatedEntry | ReplayEntry | FrankaEntry | LeRobotEntry | PythonEntry, Field(discriminator="kind")
-    ],
-    BeforeValidator(_kind_alone),
-]
-CameraEntry = Annotated[
-    Annotated[SimulatedCameraEntry | CameraSettings | PythonEntry, Field(discriminator="kind")],
-    BeforeValidator(_camera_kind),
-]
 
 
 class Bounds(Section):
@@ -249,8 +269,8 @@ class CalibrationFiles(Section):
 class WorkcellFile(Section):
     """The whole file."""
 
-    arm: ArmEntry = SimulatedEntry()
-    camera: CameraEntry | None = None
+    arm: Annotated[ArmEntry, OfKind(ARMS, _arm_in_full)] = SimulatedEntry()
+    camera: Annotated[CameraEntry | None, OfKind(CAMERAS, _camera_in_full)] = None
     """Of a real arm: a number, a device, an address or a kind, or a section. Of a simulated one: its pictures' size."""
     cell: Seed = 0
     """Of a simulated workcell."""
@@ -268,10 +288,14 @@ class WorkcellFile(Section):
         """The limits; where, around the workspace, `config` says."""
         return replace(WorkcellSettings().limits, **self.limits.model_dump())
 
+    @property
+    def own_cell(self) -> CellEntry | None:
+        """The arm, where it comes with a workcell of its own."""
+        return self.arm if isinstance(self.arm, CellEntry) else None
+
     def handled(self, arm: ArmInfo | None = None) -> Handled:
         """How the bag is handled, by this arm; a simulated cell's always as it always was."""
-        simulated = isinstance(self.arm, SimulatedEntry)
-        usual, thing = (SIMULATED_HANDLING, Bag().thing) if simulated else (Handling(), self.bag.thing)
+        usual, thing = self.own_cell.usual(self.bag) if self.own_cell else (Handling(), self.bag.thing)
         return handled(thing, self.gate, arm, self.handling.written, usual)
 
     def contradiction(self, arm: ArmInfo | None = None) -> str | None:
@@ -280,23 +304,18 @@ class WorkcellFile(Section):
 
     @model_validator(mode="after")
     def _handled_without_contradiction(self) -> WorkcellFile:
-        if isinstance(self.arm, SimulatedEntry):
-            self.bag.check_simulated()
+        if self.own_cell:
+            self.own_cell.check_bag(self.bag)
         if line := self.contradiction():
             raise ValueError(line)
         return self
 
     @model_validator(mode="after")
     def _real_arms_need_real_cameras(self) -> WorkcellFile:
-        real = isinstance(self.camera, CameraSettings | PythonEntry)
-        if isinstance(self.arm, REAL_ARMS) and not real:
+        if self.own_cell:
+            self.own_cell.check_camera(self.camera)
+        elif self.camera is None or not self.camera.real:
             raise ValueError("a real arm needs a real camera; write `camera: 0`, or its device or address")
-        if isinstance(self.arm, SimulatedEntry) and real:
-            raise ValueError(
-                "the arm 'sim' sees with a camera of its own; give its `width` and `height`, or leave `camera` out"
-            )
-        if isinstance(self.arm, ReplayEntry) and self.camera is not None:
-            raise ValueError("the arm 'replay' shows what a camera saw; leave `camera` out")
         return self
 
     @property
