@@ -22,12 +22,11 @@ import baggie.collect.patience as help_module
 import baggie.data.writer
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
-from baggie.collect.cell import what_opens
 from baggie.collect.collect import collect
 from baggie.collect.demonstrator import Recording
 from baggie.collect.machine import helped
 from baggie.collect.patience import Awaited
-from baggie.collect.self_taught import COVERAGE_FILE, _open_worker, coverage, missing_sittings
+from baggie.collect.self_taught import COVERAGE_FILE, _open_worker, coverage, missing_sittings, what_opens
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError
 from baggie.geometry import Rectangle
@@ -207,7 +206,7 @@ def test_without_a_reference_nothing_is_watched(reference):
 CHILD = """
 import sys
 from pathlib import Path
-from baggie.collect.cell import what_opens
+from baggie.collect.self_taught import what_opens
 from baggie.collect import CollectOptions, collect
 from helpers.fake_workcell import open_slowly
 if __name__ == "__main__":

@@ -23,8 +23,7 @@ from baggie.cli.main import main
 from baggie.errors import BaggieError, DataError, ReachError
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.evaluation.log import LOG, Credit, Episode, read_episodes
-from baggie.evaluation.setup import Setup
-from baggie.evaluation.subjects import check_taught
+from baggie.evaluation.setup import Setup, check_taught
 from baggie.geometry import Grid, PlanarPose
 from baggie.metrics import success_rate
 from baggie.options.evaluating import ReportOptions

@@ -13,8 +13,7 @@ from baggie.learning import train
 from baggie.options.evaluating import ExportOptions
 from baggie.options.training import TRAININGS
 from baggie.policies import ColorMaskPolicy, KeypointPolicy, Policy, load_policy
-from baggie.policies.base import POLICIES
-from baggie.policies.contract import check_policy
+from baggie.policies.base import POLICIES, check_policy
 from baggie.policies.export import export
 from baggie.policies.learned import LearnedPolicy
 from baggie.types import Attempt

@@ -20,8 +20,8 @@ import pytest
 from baggie.errors import ArmError, BaggieError, LimitError, ReachError, install_extra
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, hand_matrix
 from baggie.robot.arm import LedArm, hand_pose
+from baggie.robot.franka import HOME, MODELS, ModelName
 from baggie.robot.franka.arm import FrankaArm
-from baggie.robot.franka.models import HOME, MODELS, ModelName
 from baggie.types import PickPlace
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from helpers.fci_server import BOX_TOP_M

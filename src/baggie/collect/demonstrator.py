@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from baggie.data import DatasetWriter
-from baggie.options.values import CollectedStyle
+from baggie.options.values import USUAL_TASK, CollectedScenery, CollectedStyle
 from baggie.processes import OpenWorker
+from baggie.registry import TASKS
 from baggie.types import Attempt
+from baggie.workcell.workcell import Workcell
 
 Size = tuple[int, int]
 Work = TypeVar("Work")
+OpenCell = Callable[[int], Workcell]
+"""Opens the cell with a number; picklable, because each worker process opens its own."""
 
 
 @dataclass(frozen=True)
@@ -80,5 +84,8 @@ class Demonstrator(Protocol, Generic[Work]):
         ...
 
 
-Show = Callable[[Work], Iterable[list[Attempt]]]
-"""Makes the episodes of a piece of work."""
+def open_simulated_cell(number: int, task: str = USUAL_TASK, scenery: CollectedScenery = "plain") -> Workcell:
+    """The simulated workcell; imported late, because MuJoCo takes its time."""
+    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415
+
+    return open_simulated(number, task, scenery=scenery, depth=TASKS[task].depth)

@@ -21,8 +21,7 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.cell import OpenCell, what_opens
-from baggie.collect.demonstrator import Recording, Size
+from baggie.collect.demonstrator import OpenCell, Recording, Size, open_simulated_cell
 from baggie.collect.machine import Turn, helped, run_turn, stopped
 from baggie.collect.patience import Patience
 from baggie.data import Dataset, DatasetWriter, open_dataset
@@ -37,8 +36,10 @@ from baggie.pictures import read_picture, recorded_size, same_shape, write_figur
 from baggie.processes import OpenWorker
 from baggie.types import Attempt, Truth
 from baggie.vision.color_mask import Detection
+from baggie.workcell.config import open_written
+from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.workcell import Watch, Workcell
-from baggie.workcell.workcell_file import SIMULATED
+from baggie.workcell.workcell_file import SIMULATED, WorkcellFile, read_workcell_file
 
 COVERAGE_FILE = "coverage.png"
 
@@ -99,6 +100,54 @@ class SelfTaught:
         if write_if_possible(picture, functools.partial(draw_coverage, dataset, area)):
             summary["coverage_picture"] = str(picture)
         return summary
+
+
+def open_written_cell(written: WorkcellFile, path: Path, number: int) -> Workcell:
+    """The workcell `written` in a file. Raises `BaggieError` for one that cannot be used, or of another cell."""
+    cell = open_written(written, path)
+    if isinstance(cell, ReplayWorkcell):
+        cell.close()
+        raise BaggieError(
+            f"expected {path} to describe a workcell with an arm, to collect in; a recording has none"
+        )
+    if not written.arm.real and written.cell != number:
+        cell.close()
+        raise BaggieError(f"{path} describes cell {written.cell}, not {number}; give --cell to match")
+    return cell
+
+
+def what_opens(
+    options: CollectOptions, open_cell: OpenCell | None = None
+) -> tuple[OpenCell, str, dict[str, Any]]:
+    """What opens the cell that the options say, what a recording of it says moved, and what else it says of the cell.
+
+    Or `open_cell`, where it is given, whose arm says its name. A file is read once, now: of it a recording says what
+    lies on the table and where.
+
+    Raises `BaggieError` for a file that cannot be used, and where there are more workers than arms.
+    """
+    opener, robot, table = _written(options)
+    if open_cell is not None:
+        with closing(open_cell(options.cell)) as cell:
+            return open_cell, cell.arm.info.name, table
+    return opener, robot(), table
+
+
+def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict[str, Any]]:
+    """As `what_opens`, but the robot's name only where it is asked for: some arms have to be made for it."""
+    if options.workcell is None:
+        return (
+            functools.partial(open_simulated_cell, task=options.task, scenery=options.scenery),
+            lambda: SIMULATED,
+            {},
+        )
+    path = options.workcell
+    written = read_workcell_file(path)
+    if written.arm.real and options.workers not in (None, 1):
+        raise BaggieError(f"expected --workers 1 with {path}, which has one arm, got {options.workers}")
+    table = {**written.model_dump(mode="json", include={"workspace"}), "bag": written.bag.recorded()}
+    opener = functools.partial(open_written_cell, written, path)
+    return opener, functools.partial(written.arm.title, path.parent), {"workcell": table}
 
 
 def _calibrated(options: CollectOptions, open_cell: OpenCell, operator: Operator) -> ImageToRobot:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from baggie.calibration.files import MAP_FILE
-from baggie.evaluation.setup import card_map
-from baggie.evaluation.subjects import UNKNOWN, calibration_folder, fingerprint_of
+from baggie.evaluation.setup import UNKNOWN, calibration_folder, card_map, fingerprint_of
 from baggie.operator import Caution, Operator
 from baggie.options.evaluating import EvaluateOptions
 from baggie.options.values import USUAL_TASK, GoalKind, Scenery

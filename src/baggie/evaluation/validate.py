@@ -18,7 +18,7 @@ from baggie.data.summary import did_its_task
 from baggie.errors import BaggieError, DataError
 from baggie.evaluation.predictions import Scene, measure, predict, save_pictures
 from baggie.evaluation.scored_plans import with_what_was_carried, would_count
-from baggie.evaluation.subjects import config_of, open_policy
+from baggie.evaluation.setup import config_of, open_policy
 from baggie.geometry import FloatArray
 from baggie.operator import Operator, TerminalOperator
 from baggie.options.evaluating import ValidateOptions
