@@ -29,7 +29,7 @@ from baggie.cameras import camera as height_map_camera
 from baggie.registry import TASKS
 from baggie.robot.kinematics import Kinematics
 from baggie.sim.renderer import DepthRenderer
-from baggie.tasks.scoring import Score, strict_success
+from baggie.tasks.conditions import Score, strict_success
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 from stopwatch import timed

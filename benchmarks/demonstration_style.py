@@ -19,7 +19,7 @@ from baggie.errors import LimitError, ReachError
 from baggie.options.values import CollectedStyle
 from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
-from baggie.tasks.scoring import Score, strict_success
+from baggie.tasks.conditions import Score, strict_success
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from commands import write_and_show
 

@@ -20,9 +20,8 @@ import numpy as np
 
 from baggie.geometry import PlanarPose
 from baggie.sim.objects import Block, Fixture, Part
-from baggie.tasks.conditions import InSlots, Slot
+from baggie.tasks.conditions import InSlots, Score, Slot, strict_success
 from baggie.tasks.layout import COLORS, radius_m, scatter
-from baggie.tasks.scoring import Score, strict_success
 from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 

@@ -20,8 +20,7 @@ from baggie.geometry import PlanarPose
 from baggie.seeds import first_fit
 from baggie.sim.bag import FULL_HEIGHT_M, Bag
 from baggie.sim.variety import random_pose
-from baggie.tasks.conditions import InSlots, Slot
-from baggie.tasks.scoring import Score
+from baggie.tasks.conditions import InSlots, Score, Slot
 from baggie.tasks.task import Scene, Setting, Task
 from baggie.workcell.simulated import SimulatedWorkcell
 

@@ -11,10 +11,9 @@ from baggie.geometry import FloatArray, Grid, PlanarPose, transform_points
 from baggie.registry import TASKS
 from baggie.sim.cell import draw_cell
 from baggie.sim.objects import Block, Fixture, distance_m, extent_m
-from baggie.tasks.conditions import InSlots, Slot, State, carry
+from baggie.tasks.conditions import InSlots, Score, Slot, State, all_hold, carry
 from baggie.tasks.demonstrator import next_action
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import Score, all_hold
 from baggie.tasks.task import Setting, Task
 from baggie.types import PickPlace
 from helpers.ideal_arm import carried, poses_of

@@ -19,8 +19,8 @@ from baggie.sim.cell import draw_cell
 from baggie.sim.objects import Block
 from baggie.sim.renderer import DepthRenderer
 from baggie.sim.world import World
+from baggie.tasks.conditions import Score, strict_success
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import Score, strict_success
 from baggie.types import Observation, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.workcell.simulated import SimulatedWorkcell, open_simulated

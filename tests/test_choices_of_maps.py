@@ -35,9 +35,8 @@ from baggie.metrics import action_errors, success_rate
 from baggie.options.evaluating import ValidateOptions
 from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
-from baggie.tasks.conditions import State
+from baggie.tasks.conditions import Score, State
 from baggie.tasks.demonstrator import varied_action
-from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from helpers.ideal_arm import away, carried, poses_of
 

@@ -50,7 +50,7 @@ def as_it_is(section: Section, _folder: Path, _patch: PATCH) -> Iterator[Section
 @contextmanager
 def franka(_folder: Path, _patch: PATCH) -> Iterator[Section]:
     """A simulated robot behind Franka's own protocol."""
-    from test_franka import Server
+    from helpers.fci_process import Server
 
     server = Server(*(f"127.0.251.{number}" for number in range(1, 250)))
     yield {"host": server.host, "speed": 1.0, "realtime": False}
@@ -88,7 +88,7 @@ def realsense(folder: Path, _patch: PATCH) -> Iterator[Section]:
 @contextmanager
 def orbbec(_folder: Path, patch: PATCH) -> Iterator[Section]:
     """The SDK's classes, with nothing behind them."""
-    from test_camera_orbbec import plug_in
+    from helpers.orbbec_camera import plug_in
 
     plug_in(patch)
     yield {}
@@ -97,7 +97,7 @@ def orbbec(_folder: Path, patch: PATCH) -> Iterator[Section]:
 @contextmanager
 def k4a(_folder: Path, patch: PATCH) -> Iterator[Section]:
     """The SDK's classes likewise."""
-    from test_camera_k4a import plug_in
+    from helpers.k4a_camera import plug_in
 
     plug_in(patch)
     yield {"timeout_s": 4.0}

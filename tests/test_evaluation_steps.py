@@ -22,9 +22,8 @@ from baggie.registry import TASKS
 from baggie.seeds import COLLECTION, STYLE, generator
 from baggie.sim.objects import Block
 from baggie.tasks import demonstrator as varied
-from baggie.tasks.conditions import State
+from baggie.tasks.conditions import Score, State
 from baggie.tasks.demonstrator import next_action, varied_action
-from baggie.tasks.scoring import Score
 from baggie.types import Attempt, Observation, Outcome, PickPlace, Plan
 from helpers.ideal_arm import carried, poses_of
 

@@ -7,12 +7,10 @@ import re
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,51 +18,16 @@ import pytest
 from baggie.errors import ArmError, BaggieError, LimitError, ReachError, install_extra
 from baggie.geometry import FloatArray, PlanarPose, ToolPose, hand_matrix
 from baggie.robot.arm import LedArm, hand_pose
-from baggie.robot.franka import HOME, MODELS, ModelName
 from baggie.robot.franka.arm import FrankaArm
+from baggie.robot.franka.models import HOME, MODELS, ModelName
 from baggie.types import PickPlace
 from baggie.workcell.workcell import Workcell, WorkcellSettings
+from helpers.fci_process import Server
 from helpers.fci_server import BOX_TOP_M
 
 franky = pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
 HIGH = ToolPose(0.49, 0.0, 0.20)  # above the box
 LIMITS = WorkcellSettings().limits
-
-
-class Server:
-    """The server's process."""
-
-    def __init__(self, *addresses: str) -> None:
-        self.start(*addresses)
-
-    def start(self, *addresses: str) -> None:
-        """Listen at the first address that is free."""
-        self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).parent / "helpers" / "fci_server.py"), *addresses],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-        self.host = self._answer()
-
-    def tell(self, command: str) -> None:
-        assert self._process.stdin
-        self._process.stdin.write(command + "\n")
-
-    def count(self) -> tuple[int, int]:
-        """Motions begun and recoveries from errors so far."""
-        self.tell("count")
-        begun, recovered = self._answer().split()
-        return int(begun), int(recovered)
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-    def _answer(self) -> str:
-        assert self._process.stdout
-        return self._process.stdout.readline().strip()
 
 
 @pytest.fixture(scope="module")

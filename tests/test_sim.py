@@ -15,7 +15,7 @@ import baggie  # noqa: F401 -- registers the environments
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, Rectangle, ToolPose, wrap_angle
 from baggie.robot.contract import check_arm
-from baggie.robot.franka import HOME
+from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics, quintic
 from baggie.sim.arm import JOINT_SPEED_LIMITS
 from baggie.sim.bag import Bag, pillow

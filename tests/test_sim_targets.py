@@ -18,7 +18,7 @@ from baggie.geometry import (
     transform_points,
 )
 from baggie.robot.arm import LedArm
-from baggie.robot.franka import HOME
+from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
 from baggie.robot.limits import GuardedArm
 from baggie.sim.printed import SHEET_SIZE_M, SHEET_TEXTURE, T_sheet_target, texture

@@ -13,7 +13,7 @@ from baggie.registry import TASKS
 from baggie.seeds import STYLE, generator
 from baggie.sim.objects import CUP_RADIUS_M, Block, distance_m, extent_m, reach_m
 from baggie.tasks import demonstrator as module
-from baggie.tasks.conditions import State, remaining
+from baggie.tasks.conditions import Score, State, all_hold, remaining
 from baggie.tasks.demonstrator import (
     STRAY_M,
     WASTED,
@@ -23,7 +23,6 @@ from baggie.tasks.demonstrator import (
     varied_action,
 )
 from baggie.tasks.layout import REACH
-from baggie.tasks.scoring import Score, all_hold
 from baggie.tasks.task import Task
 from helpers.ideal_arm import away, carried, poses_of
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from baggie.collect.machine import random_place
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import Grid, PlanarPose, Rectangle
-from baggie.tasks.scoring import Score, strict_success
+from baggie.tasks.conditions import Score, strict_success
 from baggie.types import Goal, PickPlace
 from baggie.workcell.workcell import Workcell
 

@@ -28,6 +28,7 @@ MOVED = {
     "baggie.sim.arm_model": "baggie.robot.kinematics",
     "baggie.sim.blocks": "baggie.sim.objects",
     "baggie.sim.kinematics": "baggie.robot.kinematics",
+    "baggie.tasks.scoring": "baggie.tasks.conditions",
     "baggie.vision.picture_files": "baggie.pictures",
     "baggie.workcell.arm": "baggie.robot.arm",
     "baggie.workcell.arm_contract": "baggie.robot.contract",

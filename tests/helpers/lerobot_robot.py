@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from baggie.geometry import FloatArray
-from baggie.robot.franka import HOME, TOOL_OFFSET_M
+from baggie.robot.franka.models import HOME, TOOL_OFFSET_M
 from baggie.robot.kinematics import Kinematics, load_arm_model
 from baggie.robot.lerobot.link import LeRobotSettings
 

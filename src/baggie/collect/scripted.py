@@ -21,7 +21,7 @@ from baggie.pictures import recorded_size
 from baggie.processes import OpenWorker
 from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
-from baggie.tasks.scoring import Score
+from baggie.tasks.conditions import Score
 from baggie.tasks.task import Task
 from baggie.types import Attempt, Outcome
 from baggie.workcell.workcell import Workcell

@@ -11,8 +11,7 @@ from baggie.data import Dataset
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
 from baggie.seeds import COLLECTION, generator
 from baggie.sim.objects import Block, distance_m
-from baggie.tasks.conditions import InSlots, State, counts, remaining
-from baggie.tasks.scoring import Score
+from baggie.tasks.conditions import InSlots, Score, State, counts, remaining
 from baggie.tasks.task import Scene, Task
 from baggie.types import PickPlace
 

@@ -26,7 +26,7 @@ from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.memory import Planner, remembering
 from baggie.registry import TASKS
 from baggie.seeds import EVALUATION
-from baggie.tasks.scoring import Score, strict_success
+from baggie.tasks.conditions import Score, strict_success
 from baggie.types import Goal, Observation, Outcome, PickPlace, Plan
 from baggie.vision.draw import check_goal
 from baggie.workcell.workcell import Workcell

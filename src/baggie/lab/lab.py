@@ -25,7 +25,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.lab.fci import FciServer
 from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
-from baggie.robot.franka import PARK
+from baggie.robot.franka.models import PARK
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.bag import Bag
 from baggie.sim.cell import PICTURE_SIZE, draw_cell

@@ -16,8 +16,8 @@ import numpy as np
 from franky_sim.franka_robot_state import FrankaRobotState
 
 from baggie.geometry import FloatArray
-from baggie.robot.franka import HOME
 from baggie.robot.franka.link import T_FLANGE_TOOL
+from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
 from baggie.sim.arm_world import OPEN_M, ArmWorld, Fingers, upward_touch
 from baggie.sim.scene import ARM, arm_spec

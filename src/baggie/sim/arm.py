@@ -10,7 +10,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, ToolPose
 from baggie.robot.arm import CLEAR_Z_M, ArmInfo
-from baggie.robot.franka import HOME, PARK
+from baggie.robot.franka.models import HOME, PARK
 from baggie.robot.kinematics import CONTROL_PERIOD_S, Kinematics, minimum_jerk
 from baggie.robot.primitives import Handling
 from baggie.sim.arm_world import MOVE_FORCE_N, ArmWorld, Fingers, Suction

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baggie.geometry import FloatArray
-from baggie.robot.franka import HOME
+from baggie.robot.franka.models import HOME
 from baggie.sim.cell import Cell
 from baggie.sim.objects import CUP_RADIUS_M
 from baggie.sim.scene import ARM, CUP, TIMESTEP_S, camera_quaternion, seal_of

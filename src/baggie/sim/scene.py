@@ -12,7 +12,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.options.values import CARD_COLOR
-from baggie.robot.franka import TOOL_OFFSET_M, links, require_mujoco
+from baggie.robot.franka.models import TOOL_OFFSET_M, links, require_mujoco
 from baggie.sim.cell import Cell, table_top
 from baggie.sim.objects import CUP_RADIUS_M, SceneObject, paint
 from baggie.sim.printed import (

@@ -16,8 +16,8 @@ import numpy as np
 from baggie.errors import ReachError, StuckError
 from baggie.geometry import FloatArray, ToolPose, hand_matrix, wrap_angle
 from baggie.robot.arm import CLEAR_Z_M
-from baggie.robot.franka import MAX_SPEED_M_S, MODELS, PARK, ModelName
 from baggie.robot.franka.link import CollisionError, FrankaLink, HiccupError, load_franky
+from baggie.robot.franka.models import MAX_SPEED_M_S, MODELS, PARK, ModelName
 
 ROTATION_SPEED_RAD_S = 2.5  # of the tool; Franka's limit
 PARK_SPEED_SHARE = 0.5  # of what the joints can do

@@ -13,7 +13,7 @@ import numpy as np
 
 from baggie.errors import ArmError, BaggieError, ReachError, StuckError, explained, install_extra, pip_install
 from baggie.geometry import FloatArray, difference, rigid
-from baggie.robot.franka import TOOL_OFFSET_M
+from baggie.robot.franka.models import TOOL_OFFSET_M
 
 CONNECT_TIMEOUT_S = 10.0  # libfranka itself waits a minute for a robot that is not there
 CONNECT_TRIES = 3
