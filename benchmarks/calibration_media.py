@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from baggie.cli.main import main as baggie
-from baggie.evaluation.pictures import save_jpeg
+from baggie.evaluation.marked_pictures import save_jpeg
 from baggie.options.values import BOARD
 from baggie.pictures import read_picture
 from baggie.types import Image

@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-from baggie.evaluation.pictures import save_jpeg
+from baggie.evaluation.marked_pictures import save_jpeg
 from baggie.robot.arm import ArmInfo
 from baggie.robot.handling_rules import Thing, handled
 from baggie.robot.primitives import Handling

@@ -18,7 +18,7 @@ from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison, lattice
 from baggie.data.files import CALIBRATION_FOLDER
-from baggie.evaluation.pictures import save_jpeg
+from baggie.evaluation.marked_pictures import save_jpeg
 from baggie.geometry import Rectangle
 from baggie.pictures import read_picture
 from baggie.policies.keypoint.policy import KeypointPolicy, as_calibration

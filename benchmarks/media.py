@@ -15,7 +15,7 @@ from PIL import Image
 import baggie
 from baggie import seeds
 from baggie.collect.machine import random_place
-from baggie.evaluation.pictures import Region, heat_over, save_jpeg
+from baggie.evaluation.marked_pictures import Region, heat_over, save_jpeg
 from baggie.types import Goal
 from baggie.vision.draw import paint_goal
 from baggie.workcell.simulated import open_simulated

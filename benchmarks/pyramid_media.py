@@ -14,7 +14,7 @@ import tyro
 from PIL import Image
 
 from baggie.data import open_dataset
-from baggie.evaluation.pictures import save_jpeg
+from baggie.evaluation.marked_pictures import save_jpeg
 from baggie.learning.demonstrations import read_demonstrations
 from baggie.learning.moved_maps import MovedMaps, Moves
 from baggie.policies.checkpoint import read_config

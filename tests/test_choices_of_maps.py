@@ -21,9 +21,9 @@ from baggie.evaluation.scored_plans import (
     MapChoices,
     choices_of_episode,
     choices_of_maps,
+    rates_that_count,
     stages_of,
     with_what_was_carried,
-    would_count,
 )
 from baggie.evaluation.validate import validate
 from baggie.geometry import Grid, PlanarPose, planar_pose, wrap_angle
@@ -443,18 +443,18 @@ def episode() -> list[Attempt]:
 def test_the_demonstrator_counts_and_so_does_another_order(tmp_path, episode):
     dataset = recorded(tmp_path / "a", episode, ravens="assembling-kits-train")
     own = predictions(episode)
-    assert would_count(dataset, own) == dict.fromkeys(("pick", "place", "both"), success_rate(2, 2))
+    assert rates_that_count(dataset, own) == dict.fromkeys(("pick", "place", "both"), success_rate(2, 2))
     swapped = [replace(own[0], action=action_of(CORNERS[1], SLOTS[0])), own[1], replace(own[2], action=None)]
-    assert would_count(dataset, swapped)["both"] == success_rate(1, 2)
+    assert rates_that_count(dataset, swapped)["both"] == success_rate(1, 2)
     beside = [replace(own[0], action=replace(episode[0].commanded, pick=PlanarPose(0.5, 0.0)))]
-    assert would_count(dataset, beside)["pick"] == success_rate(0, 1)
-    assert would_count(dataset, []) == {}
-    assert would_count(dataset, [own[1]]) == {}
+    assert rates_that_count(dataset, beside)["pick"] == success_rate(0, 1)
+    assert rates_that_count(dataset, []) == {}
+    assert rates_that_count(dataset, [own[1]]) == {}
 
 
 def test_nothing_is_said_of_what_did_not_do_its_task_nor_of_maps_without_heights(tmp_path, episode):
     failed = [replace(each, reward=0.0) for each in episode]
-    assert would_count(recorded(tmp_path / "failed", failed), predictions(failed)) == {}
+    assert rates_that_count(recorded(tmp_path / "failed", failed), predictions(failed)) == {}
     flat = [replace(each, before=Observation(each.before.color), after=None) for each in episode]
     dataset = recorded(tmp_path / "flat", flat)
     assert choices_of_maps(dataset, dataset.attempt_ids.tolist()) == {}
@@ -467,18 +467,18 @@ def test_an_attempt_that_stands_alone_is_an_episode_of_one_step(tmp_path):
         for n in range(2)
     )
     dataset = recorded(tmp_path / "alone", [first, second])
-    assert would_count(dataset, predictions([first, second]))["both"] == success_rate(2, 2)
+    assert rates_that_count(dataset, predictions([first, second]))["both"] == success_rate(2, 2)
     other = [replace(predictions([first])[0], action=action_of(CORNERS[0], SLOTS[1]))]
-    assert would_count(dataset, other)["place"] == success_rate(0, 1)
+    assert rates_that_count(dataset, other)["place"] == success_rate(0, 1)
 
 
 def test_what_a_thing_looks_like_is_found_unless_the_recording_says_it(tmp_path):
     attempts = shown([SQUARE], CORNERS[:1], [Move(0, SLOTS[0])])
     turned = replace(SLOTS[0], yaw=SLOTS[0].yaw + math.pi / 2)
     plan = [replace(predictions(attempts)[0], action=action_of(CORNERS[0], turned, (0.01, 0.01)))]
-    assert would_count(recorded(tmp_path / "found", attempts), plan)["both"]["rate"] == 1.0
+    assert rates_that_count(recorded(tmp_path / "found", attempts), plan)["both"]["rate"] == 1.0
     said = [replace(each, object_symmetry=1) for each in attempts]
-    assert would_count(recorded(tmp_path / "said", said), plan)["both"]["rate"] == 0.0
+    assert rates_that_count(recorded(tmp_path / "said", said), plan)["both"]["rate"] == 0.0
 
 
 # --- errors against the labels

@@ -13,7 +13,6 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import machine
 from baggie.collect import machine as detect
-from baggie.collect.demonstrator import Recording
 from baggie.collect.machine import (
     MARGIN_M,
     MAX_LOOKS,
@@ -30,6 +29,7 @@ from baggie.collect.machine import (
     random_place,
     run_turn,
 )
+from baggie.collect.recording import Recording
 from baggie.collect.self_taught import STALL_AFTER, run_sitting
 from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError

@@ -23,9 +23,9 @@ import baggie.data.writer
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.collect.collect import collect
-from baggie.collect.demonstrator import Recording
 from baggie.collect.machine import helped
 from baggie.collect.patience import Awaited
+from baggie.collect.recording import Recording
 from baggie.collect.self_taught import COVERAGE_FILE, _open_worker, coverage, missing_sittings, what_opens
 from baggie.data import open_dataset
 from baggie.errors import BaggieError, BaggieWarning, DataError

@@ -19,7 +19,7 @@ import yaml
 from baggie.cli import main as cli
 from baggie.cli.verbs import BAGGIE, Group
 from baggie.options.training import TRAININGS
-from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
+from baggie.workcell.workcell_file import BagEntry, HandlingEntry, read_workcell_file
 from helpers.docs_pages import KINDS, PAGES, ROOT, Block, blocks, prose
 from helpers.docs_stand_ins import GIVEN, taken_for_granted
 
@@ -220,5 +220,5 @@ def test_workcell_files_are_read(block: Block, tmp_path: Path) -> None:
 
 def test_every_entry_of_handling_is_explained() -> None:
     page = (ROOT / "docs" / "handling.md").read_text()
-    for entry in (*HandlingEntry.model_fields, *Bag.model_fields):
+    for entry in (*HandlingEntry.model_fields, *BagEntry.model_fields):
         assert re.search(rf"^\| [^|]*`{entry}`[^|]*\| \S", page, re.M), entry

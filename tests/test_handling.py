@@ -32,7 +32,7 @@ from baggie.robot.primitives import Handling, pick, place, rehearse
 from baggie.types import PickPlace
 from baggie.workcell import config
 from baggie.workcell.workcell import WorkcellSettings
-from baggie.workcell.workcell_file import Bag, HandlingEntry, read_workcell_file
+from baggie.workcell.workcell_file import BagEntry, HandlingEntry, read_workcell_file
 from helpers.recording_arm import RecordingArm, TimelessCell
 
 LIMITS = WorkcellSettings().limits
@@ -57,8 +57,8 @@ arms = st.builds(
 
 
 def test_the_usual_bag_is_handled_as_ever() -> None:
-    assert handled(Bag().thing, LIMITS).handling == Handling()
-    assert handled(Bag().thing, LIMITS, HAND).handling == Handling()
+    assert handled(BagEntry().thing, LIMITS).handling == Handling()
+    assert handled(BagEntry().thing, LIMITS, HAND).handling == Handling()
 
 
 def test_a_file_has_an_entry_for_all_of_it() -> None:
@@ -126,15 +126,19 @@ def test_what_is_written_wins(thing: Thing, arm: ArmInfo, written: dict[str, flo
             {},
             r"0\.075 m wide, the gripper of hand opens to 0\.08, and needs",
         ),
-        (Bag().thing, {"fast_m_s": 1.0}, r"fast_m_s is 1, hand moves at up to 0\.5 m/s; lower it"),
-        (Bag().thing, {"open_width_m": 0.09}, r"open_width_m is 0\.09, the gripper of hand opens to 0\.08"),
+        (BagEntry().thing, {"fast_m_s": 1.0}, r"fast_m_s is 1, hand moves at up to 0\.5 m/s; lower it"),
         (
-            Bag().thing,
+            BagEntry().thing,
+            {"open_width_m": 0.09},
+            r"open_width_m is 0\.09, the gripper of hand opens to 0\.08",
+        ),
+        (
+            BagEntry().thing,
             {"release_width_m": 0.09},
             r"release_width_m is 0\.09, the gripper of hand opens to 0\.08",
         ),
         (
-            Bag().thing,
+            BagEntry().thing,
             {"grasp_force_n": 25.0},
             r"grasp_force_n is 25, the gripper of hand squeezes with up to 20 N",
         ),
@@ -182,7 +186,7 @@ def test_a_wide_hard_thing_is_let_go_of_and_put_down() -> None:
 
 @pytest.mark.parametrize("width", [0.01, 0.05, 0.065, 0.07])
 def test_whatever_is_in_the_hand_is_put_down(width: float) -> None:
-    cell, arm = carrying(width, Bag().thing)
+    cell, arm = carrying(width, BagEntry().thing)
     arm.width = width
     assert cell.put_down()
 

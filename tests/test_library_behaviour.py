@@ -19,7 +19,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from baggie.data.dataset import _numeric
 from baggie.errors import DataError
-from baggie.evaluation.pictures import save_mp4
+from baggie.evaluation.marked_pictures import save_mp4
 from baggie.policies import checkpoint
 from baggie.policies import learned as weights
 from baggie.report.report import _scalars

@@ -20,7 +20,7 @@ from baggie.robot.arm import ArmEntry
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
 from baggie.workcell.workcell_file import (
-    Bag,
+    BagEntry,
     ReplayEntry,
     SimulatedEntry,
     WorkcellFile,
@@ -87,7 +87,7 @@ def test_what_was_answered_is_what_is_read(tmp_path: Path) -> None:
     )
     assert written.camera == RealSenseSettings()
     assert (written.workspace.x, written.workspace.y) == ((0.4, 0.6), (-0.2, 0.1))
-    assert written.bag == Bag(length_m=0.06, width_m=0.04, height_m=0.05, hard=True, color=(1, 2, 3))
+    assert written.bag == BagEntry(length_m=0.06, width_m=0.04, height_m=0.05, hard=True, color=(1, 2, 3))
 
 
 @pytest.mark.parametrize("kind", [kind for kind in CAMERAS.names() if kind not in ("sim", "python")])

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from baggie.collect.demonstrator import Demonstrator, OpenCell, Recording, Work, open_simulated_cell
 from baggie.collect.patience import Awaited, Patience
+from baggie.collect.recording import Demonstrator, OpenCell, Recording, Work, open_simulated_cell
 from baggie.collect.scripted import Scripted
 from baggie.collect.self_taught import SelfTaught
 from baggie.data import DatasetWriter

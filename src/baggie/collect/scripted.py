@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from baggie import seeds
-from baggie.collect.demonstrator import OpenCell, Recording, Size
+from baggie.collect.recording import OpenCell, Recording, Size
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.data.record import fit, without_depth
 from baggie.errors import LimitError, ReachError

@@ -21,9 +21,9 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
-from baggie.collect.demonstrator import OpenCell, Recording, Size, open_simulated_cell
 from baggie.collect.machine import Turn, helped, run_turn, stopped
 from baggie.collect.patience import Patience
+from baggie.collect.recording import OpenCell, Recording, Size, open_simulated_cell
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.data.record import fit, without_depth

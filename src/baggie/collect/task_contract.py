@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.collect.demonstrator import Recording
+from baggie.collect.recording import Recording
 from baggie.collect.scripted import demonstrate, size_of
 from baggie.data import DatasetWriter, open_dataset
 from baggie.geometry import PlanarPose

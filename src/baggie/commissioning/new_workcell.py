@@ -25,7 +25,7 @@ from baggie.registry import ARMS, CAMERAS
 from baggie.robot.arm import ArmInfo, PythonArmEntry
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
-from baggie.workcell.workcell_file import Bag, Bounds, WorkcellFile, read_workcell_file
+from baggie.workcell.workcell_file import BagEntry, Bounds, WorkcellFile, read_workcell_file
 
 _NONE = "-"
 _NARROWEST_M, _WIDEST_M = 0.01, 0.3
@@ -252,7 +252,7 @@ def _source(answer: str) -> str:
 
 
 def _bag(operator: Operator, real: bool) -> dict[str, Any]:
-    bag = Bag()
+    bag = BagEntry()
     words = "the bag, or what lies there in its place, length and width in metres"
     sides = operator.ask(
         Question(words, spaced((bag.length_m, bag.width_m)), _real_sides if real else _simulated_sides)
@@ -260,7 +260,7 @@ def _bag(operator: Operator, real: bool) -> dict[str, Any]:
     content: dict[str, Any] = {"length_m": max(sides), "width_m": min(sides)}
     if real:
         words = "how high it is where it lies, in metres"
-        content["height_m"] = operator.ask(Question(words, f"{bag.height_m:g}", entry(Bag, "height_m")))
+        content["height_m"] = operator.ask(Question(words, f"{bag.height_m:g}", entry(BagEntry, "height_m")))
         words = "is it hard, so that the hand has to go over it? yes or no"
         content["hard"] = operator.ask(choice(words, "no", ("yes", "no"))) == "yes"
     content["color"] = operator.ask(Question("its colour, red green blue of 255", spaced(bag.color), color))
@@ -268,12 +268,12 @@ def _bag(operator: Operator, real: bool) -> dict[str, Any]:
 
 
 def _real_sides(answer: str) -> list[float]:
-    return several(entry(Bag, "length_m"), 2)(answer)
+    return several(entry(BagEntry, "length_m"), 2)(answer)
 
 
 def _simulated_sides(answer: str) -> list[float]:
     sides = _real_sides(answer)
-    Bag(length_m=max(sides), width_m=min(sides)).check_simulated()
+    BagEntry(length_m=max(sides), width_m=min(sides)).check_simulated()
     return sides
 
 

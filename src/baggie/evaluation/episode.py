@@ -18,7 +18,7 @@ import numpy as np
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.evaluation.goals import NoCardError, draw_goal, goal_in
 from baggie.evaluation.log import Credit, Episode, Landing, Step
-from baggie.evaluation.pictures import EpisodeScene, save_map, save_mp4, save_pictures, save_step
+from baggie.evaluation.marked_pictures import EpisodeScene, save_map, save_mp4, save_pictures, save_step
 from baggie.evaluation.setup import Setup
 from baggie.geometry import FloatArray
 from baggie.metrics import position_error_cm, yaw_error_deg

@@ -18,7 +18,7 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data import Dataset
 from baggie.data.summary import shown_goal
 from baggie.errors import BaggieError
-from baggie.evaluation.pictures import Mark, Region, backdrop, heat_over, marked, save_jpeg
+from baggie.evaluation.marked_pictures import Mark, Region, backdrop, heat_over, marked, save_jpeg
 from baggie.geometry import FloatArray, Grid, PlanarPose
 from baggie.metrics import action_errors, references, summary, symmetry_of, within_stated
 from baggie.operator import Operator, progress
@@ -126,7 +126,7 @@ def _prediction(attempt: Attempt, plan: Plan | None, decision_ms: float, message
     )
 
 
-def measure(predictions: Sequence[Prediction]) -> dict[str, Any]:
+def summarize_errors(predictions: Sequence[Prediction]) -> dict[str, Any]:
     """`labels` and `truth` as summaries of errors, `decision_ms`, and how often the policy could not tell.
 
     With `confidence` where plans state radii: for `labels` and `truth`, the share of picks and of places inside them,
@@ -179,7 +179,7 @@ _ROUGH_MM = 20.0
 
 
 @dataclass(frozen=True)
-class Scene:
+class RecordedView:
     """What the pictures of a recording show, for drawing only."""
 
     region: Region
@@ -190,7 +190,7 @@ class Scene:
     """Of pictures from straight above, which need no such map."""
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Scene:
+    def of(cls, dataset: Dataset) -> RecordedView:
         """From the numbers of all attempts that succeeded."""
         if dataset.grid is not None:
             return cls(Region(0, 0, *dataset.settings.picture_size), None, dataset.grid)
@@ -218,8 +218,8 @@ class Scene:
         return Mark(name, center + a - b, center)
 
 
-def save_pictures(
-    out: Path, scene: Scene, attempt: Attempt, prediction: Prediction, policy: Policy
+def save_worst_pictures(
+    out: Path, scene: RecordedView, attempt: Attempt, prediction: Prediction, policy: Policy
 ) -> dict[str, Any]:
     """The picture before with goal and marks, and the heat maps over it: their paths relative to `out`."""
     goal = shown_goal(attempt)

@@ -304,7 +304,7 @@ class Choices(Protocol):
         ...
 
 
-def would_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str, Rate]:
+def rates_that_count(dataset: Dataset, predictions: Sequence[Prediction]) -> dict[str, Rate]:
     """The share of `pick`, of `place` and of `both` that would count as Ravens counts; a missing plan does not.
 
     Of a task of the simulator by its scene, of any other by its height maps, where it is a lower bound

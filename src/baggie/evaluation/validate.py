@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from baggie.data import Dataset, open_dataset
 from baggie.data.summary import did_its_task
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.predictions import Scene, measure, predict, save_pictures
-from baggie.evaluation.scored_plans import with_what_was_carried, would_count
+from baggie.evaluation.predictions import RecordedView, predict, save_worst_pictures, summarize_errors
+from baggie.evaluation.scored_plans import rates_that_count, with_what_was_carried
 from baggie.evaluation.setup import config_of, open_policy
 from baggie.geometry import FloatArray
 from baggie.operator import Operator, TerminalOperator
@@ -150,7 +150,7 @@ def validate(options: ValidateOptions, *, operator: Operator | None = None) -> d
     chosen = held_out(options.policy, dataset, options.last)
     attempts = (dataset[index] for index in chosen.indices)
     predictions = with_what_was_carried(dataset, predict(policy, attempts, len(chosen.indices), operator))
-    counted = would_count(dataset, predictions)
+    counted = rates_that_count(dataset, predictions)
     symmetries = sorted({prediction.symmetry for prediction in predictions})
     metrics = {
         "policy": policy.name,
@@ -158,16 +158,16 @@ def validate(options: ValidateOptions, *, operator: Operator | None = None) -> d
         "held_out": {"attempts": len(predictions), "which": chosen.which},
         "pictures": CAMERA if dataset.grid is None else HEIGHT_MAPS,
         "symmetry": symmetries[0] if len(symmetries) == 1 else symmetries,
-        **measure(predictions),
+        **summarize_errors(predictions),
         **({"would_count": counted} if counted else {}),
         "provenance": provenance(),
     }
     by_error = sorted(
         zip(predictions, chosen.indices, strict=True), key=lambda p: p[0].worst_cm(), reverse=True
     )
-    scene = Scene.of(dataset)
+    scene = RecordedView.of(dataset)
     worst = [
-        save_pictures(options.out, scene, dataset[index], prediction, policy)
+        save_worst_pictures(options.out, scene, dataset[index], prediction, policy)
         for prediction, index in by_error[:WORST]
     ]
     records = [prediction.to_json() for prediction in predictions]

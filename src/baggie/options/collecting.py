@@ -58,7 +58,7 @@ class CollectOptions(Options):
     task: TaskName = USUAL_TASK
     """What is on the table and what counts as done."""
     attempts: Count = 300
-    """How many there are to be in the end, failed ones included; with blocks, whole demonstrations."""
+    """How many there are to be in the end, failed ones included; where a script demonstrates, whole demonstrations."""
     seed: Seed = 0
     """Of scenes and places; the same seed gives the same attempts, whatever the number of workers."""
     cell: Seed = 0
@@ -66,8 +66,8 @@ class CollectOptions(Options):
     scenery: CollectedScenery = "plain"
     """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
     style: CollectedStyle = "plain"
-    """With blocks: things are picked by their middles and in a fixed order; or, `varied`, as others demonstrate:
-    anywhere and in any order, and a step is wasted now and then.
+    """Where a script demonstrates: things are picked by their middles and in a fixed order; or, `varied`, as others
+    demonstrate: anywhere and in any order, and a step is wasted now and then.
     """
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""

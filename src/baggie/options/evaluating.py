@@ -26,8 +26,8 @@ from baggie.options.values import (
 )
 from baggie.registry import TASKS
 
-_OF_BAGS = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
-"""What means nothing with blocks: they have a cell and goals of their own, and a task says what counts."""
+_WITH_GOAL = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
+"""What means something only for tasks whose goal is given in the picture: others say themselves what counts."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,9 @@ class EvaluateOptions(Options):
     """
 
     policy: str
-    """A training run's folder, a Hub id, `color-mask` (bags only), or `oracle`, which reads the simulator's truth."""
+    """A training run's folder, a Hub id, `color-mask` (where a goal is given in the picture), or `oracle`, which reads
+    the simulator's truth.
+    """
     out: Path
     """Where metrics.json, the log of episodes, pictures and videos go."""
     task: TaskName = USUAL_TASK
@@ -66,21 +68,23 @@ class EvaluateOptions(Options):
     cell: Seed = 0
     """The workcell; a policy belongs to the one it was trained in."""
     workcell: Path | None = None
-    """bag-place: a workcell file. Try it there, on a real arm, one scene after the other as they come; its map from the
-    picture to the robot says where bags end.
+    """Where a goal is given in the picture: a workcell file. Try it there, on a real arm, one scene after the other as
+    they come; its map from the picture to the robot says where objects end.
     """
     scenery: Scenery = "plain"
-    """bag-place: the cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none
-    ever shows; or a second bag.
+    """Where a goal is given in the picture: the cell as it is; other light; what a varied collection shows; a bag, or
+    all of a scene, that none ever shows; or a second bag.
     """
     goal: GoalKind = "virtual"
-    """bag-place: marked in the picture, square to the workspace; at any angle; or a real green card that has to be
-    found.
+    """How a goal is given in the picture: marked square to the workspace; at any angle; or by a real green card that
+    has to be found.
     """
     radius_cm: Positive = 2.0
-    """bag-place: a bag this near the middle of its goal is a success."""
+    """An object this near the middle of its goal in the picture is a success."""
     retries: Number = 2
-    """bag-place: how often to look again when the gripper noticed that it missed. With blocks that takes a step."""
+    """Where a goal is given in the picture: how often to look again when the gripper noticed that it missed. Elsewhere
+    that takes a step.
+    """
     device: Literal["cpu", "cuda", "mps"] = "cpu"
     """Where a policy that was trained computes."""
     workers: Workers | None = None
@@ -88,8 +92,8 @@ class EvaluateOptions(Options):
     film: Number = 2
     """How many of the first episodes to make a video of."""
     calibration: Path | None = None
-    """bag-place: a recording of this cell, for its map: `color-mask` plans with it, `--goal card` allows for a bag's
-    height.
+    """Where a goal is given in the picture: a recording of this cell, for its map: `color-mask` plans with it,
+    `--goal card` allows for an object's height.
     """
 
     def check(self) -> None:
@@ -101,15 +105,10 @@ class EvaluateOptions(Options):
         ):
             if chosen not in known:
                 raise UsageError(f"expected a {name} among {', '.join(known)}, got {chosen!r}")
-        if self.of_blocks:
-            self._check_blocks()
+        if not TASKS[self.task].has_goal:
+            self._check_without_goal()
         elif self.workcell is not None:
             self._check_real()
-
-    @property
-    def of_blocks(self) -> bool:
-        """Whether the task itself says where things go, and not a goal in the picture."""
-        return not TASKS[self.task].has_goal
 
     @property
     def processes(self) -> int:
@@ -130,8 +129,8 @@ class EvaluateOptions(Options):
         if self.processes != 1:
             raise UsageError(f"expected --workers 1 {given}which has one arm, got {self.workers}")
 
-    def _check_blocks(self) -> None:
-        for name in _OF_BAGS:
+    def _check_without_goal(self) -> None:
+        for name in _WITH_GOAL:
             if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
                 raise UsageError(
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "

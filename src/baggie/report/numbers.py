@@ -9,8 +9,8 @@ import numpy as np
 
 from baggie.data import Dataset, open_dataset
 from baggie.errors import BaggieError, DataError
-from baggie.evaluation.pictures import TRUE, Mark, jpeg, marked
-from baggie.evaluation.predictions import Scene
+from baggie.evaluation.marked_pictures import TRUE, Mark, jpeg, marked
+from baggie.evaluation.predictions import RecordedView
 from baggie.report.figures import SERIES
 from baggie.report.items import (
     Content,
@@ -61,7 +61,7 @@ def _labels(training: Training) -> Content:
 
 def _pictures(dataset: Dataset, doubtful: Sequence[dict[str, Any]]) -> list[str]:
     """As parts of the page; empty for what is not shown."""
-    scene = Scene.of(dataset)
+    scene = RecordedView.of(dataset)
     index_of = {int(attempt_id): index for index, attempt_id in enumerate(dataset.attempt_ids)}
     shown = []
     for doubt in doubtful[:MAX_PICTURES]:
@@ -73,7 +73,7 @@ def _pictures(dataset: Dataset, doubtful: Sequence[dict[str, Any]]) -> list[str]
     return [*shown, *[""] * (len(doubtful) - len(shown))]
 
 
-def _picture(scene: Scene, attempt: Attempt, what: str) -> Image:
+def _picture(scene: RecordedView, attempt: Attempt, what: str) -> Image:
     """The bag outlined as it was seen, and where the arm says it was: before for a pick, after for a place."""
     executed = attempt.outcome.executed
     if what == "pick":

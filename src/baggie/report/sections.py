@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 
 from baggie.report import figures
-from baggie.report.closed_loop import WORST, conditions, distance_cm, distances, videos
+from baggie.report.evaluations import WORST, distance_cm, distance_section, task_section, videos
 from baggie.report.figures import SERIES
 from baggie.report.items import (
     Content,
@@ -38,8 +38,8 @@ def content(results: Results) -> Content:
     main = policies[0]
     sections = {
         "videos": videos(results.evaluations, main),
-        "closed_loop": distances(results.landed, main, colors),
-        "tasks": conditions(results.credited, main, colors),
+        "closed_loop": distance_section(results.landed, main, colors),
+        "tasks": task_section(results.credited, main, colors),
         "validation": _validation(results.validations, main, colors),
         "heat": _heat(results, main),
         "learning": _learning(results.trainings),

@@ -23,8 +23,7 @@ from baggie.robot.arm import ArmEntry, ArmInfo
 from baggie.robot.handling_rules import SIMULATED_HANDLING, Handled, Thing, contradiction, handled
 from baggie.robot.limits import Limits
 from baggie.robot.primitives import Handling
-from baggie.sim.bag import FULL_HEIGHT_M, LONG_ASPECT
-from baggie.sim.bag import Bag as SimulatedBag
+from baggie.sim.bag import FULL_HEIGHT_M, LONG_ASPECT, Bag
 from baggie.sim.cell import LARGEST_SIDE, PICTURE_SIZE, SMALLEST_SIDE
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 
@@ -58,7 +57,7 @@ class HandlingEntry(Section):
         return self.model_dump(exclude_none=True)
 
 
-class Bag(Section):
+class BagEntry(Section):
     """The bag, or whatever lies there in its place: in a simulated cell all of it, for a real one size and colour."""
 
     length_m: float = Field(0.12, gt=0.01, lt=0.5)
@@ -72,7 +71,7 @@ class Bag(Section):
     color: Color = (196, 40, 44)
 
     @model_validator(mode="after")
-    def _length_is_the_longer(self) -> Bag:
+    def _length_is_the_longer(self) -> BagEntry:
         if self.width_m >= LONG_ASPECT * self.length_m:
             raise ValueError(
                 f"expected the longer side as length_m, got {self.length_m:g} and a width_m of {self.width_m:g}; "
@@ -91,9 +90,9 @@ class Bag(Section):
         return Thing((self.length_m, self.width_m, self.height_m), self.hard, self.long)
 
     @property
-    def simulated(self) -> SimulatedBag:
+    def simulated(self) -> Bag:
         """The bag of a simulated cell."""
-        return SimulatedBag(
+        return Bag(
             length_m=self.length_m,
             width_m=self.width_m,
             shape="long" if self.long else "square",
@@ -103,7 +102,7 @@ class Bag(Section):
 
     def recorded(self) -> dict[str, Any]:
         """What a recording says of it: `height_m` and `hard`, which older ones do not know, where they are unusual."""
-        usual = Bag()
+        usual = BagEntry()
         return self.model_dump(
             mode="json",
             exclude={name for name in ("height_m", "hard") if getattr(self, name) == getattr(usual, name)},
@@ -139,11 +138,11 @@ class CellEntry(ArmEntry):
         """None: nobody has to know what it can do."""
         return None
 
-    def usual(self, bag: Bag) -> tuple[Handling, Thing]:
+    def usual(self, bag: BagEntry) -> tuple[Handling, Thing]:
         """From what the handling of a bag follows."""
         return Handling(), bag.thing
 
-    def check_bag(self, bag: Bag) -> None:
+    def check_bag(self, bag: BagEntry) -> None:
         """Raise `ValueError` for what cannot lie there."""
 
     def check_camera(self, camera: CameraEntry | None) -> None:
@@ -163,11 +162,11 @@ class SimulatedEntry(CellEntry):
         """As the arm has it."""
         return SIMULATED
 
-    def usual(self, bag: Bag) -> tuple[Handling, Thing]:
+    def usual(self, bag: BagEntry) -> tuple[Handling, Thing]:
         """As it always was, whatever the bag."""
-        return SIMULATED_HANDLING, Bag().thing
+        return SIMULATED_HANDLING, BagEntry().thing
 
-    def check_bag(self, bag: Bag) -> None:
+    def check_bag(self, bag: BagEntry) -> None:
         """Raise `ValueError` for what the simulated bag, a soft pillow, cannot be."""
         bag.check_simulated()
 
@@ -278,7 +277,7 @@ class WorkcellFile(Section):
     limits: LimitsEntry = LimitsEntry()
     handling: HandlingEntry = HandlingEntry()
     """Heights, forces and speeds of pick and place, as far as they do not follow from the bag and the gripper."""
-    bag: Bag = Bag()
+    bag: BagEntry = BagEntry()
     calibrations: CalibrationFiles = CalibrationFiles()
     sure_within_m: Metres = Field(WorkcellSettings().sure_within_m, gt=0)
     """Nothing moves when a plan's pick or place is not known within this, nine times of ten."""

@@ -26,7 +26,7 @@ _ABOUT = (
 )
 
 
-def conditions(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
+def task_section(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
     """Every variable of the section; None without an evaluation."""
     if not evaluations:
         return None
@@ -109,7 +109,7 @@ def videos(evaluations: Sequence[Evaluation], main: str) -> list[Content]:
     return shown
 
 
-def distances(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
+def distance_section(evaluations: Sequence[Evaluation], main: str, colors: figures.Colors) -> Content | None:
     """Every variable of the section; None without an evaluation."""
     if not evaluations:
         return None
