@@ -61,7 +61,7 @@ def test_a_task_in_which_nothing_counts_is_found_out(tmp_path: Path) -> None:
     pyramid = TASKS["block-pyramid"]
 
     def nothing_counts(rng, setting):
-        return replace(pyramid.draw_scene(rng, setting), stages=())
+        return replace(pyramid.draw_scene(rng, setting), conditions=())
 
     with pytest.raises(AssertionError, match="something counts"):
         check_task(replace(pyramid, draw_scene=nothing_counts), tmp_path)

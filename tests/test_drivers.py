@@ -88,6 +88,7 @@ def realsense(folder: Path, _patch: PATCH) -> Iterator[Section]:
 @contextmanager
 def orbbec(_folder: Path, patch: PATCH) -> Iterator[Section]:
     """The SDK's classes, with nothing behind them."""
+    pytest.importorskip("pyorbbecsdk", reason="needs pyorbbecsdk", exc_type=ImportError)
     from helpers.orbbec_camera import plug_in
 
     plug_in(patch)
@@ -97,6 +98,7 @@ def orbbec(_folder: Path, patch: PATCH) -> Iterator[Section]:
 @contextmanager
 def k4a(_folder: Path, patch: PATCH) -> Iterator[Section]:
     """The SDK's classes likewise."""
+    pytest.importorskip("pyk4a", reason="needs the Azure Kinect Sensor SDK", exc_type=ImportError)
     from helpers.k4a_camera import plug_in
 
     plug_in(patch)
