@@ -1,10 +1,6 @@
-"""What a camera must offer.
+"""What a camera must offer, what a workcell file says of one, and what every one promises, as a function to call.
 
-What a person writes down about a camera: the section `camera:` of a workcell file.
-
-What every camera promises, as a function: call it with yours.
-
-Several cameras with depth as one that looks straight down.
+Several cameras with depth are one that looks straight down.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """What can be wrong with a workcell: one function a check, those that move nothing apart from those that do.
 
-A check returns what it found. It raises `Doubt` for what a person should look at, and any other `BaggieError` for what
-has to be mended first.
-
-Where the tool's x axis points, seen by how a marker in the hand moves in the picture: no calibration is needed.
-
-What can be wrong with an arm that shows only when somebody lays something under the hand, or fixes something to it.
-
-Checks as in `health.py`, and with a helper besides. One that raises `NotTriedError` found nothing out.
+A check returns what it found. It raises `Doubt` for what a person should look at, `NotTriedError` where it found
+nothing out, and any other `BaggieError` for what has to be mended first. Some need somebody who lays something under
+the hand, or fixes something to it.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ from baggie.options.evaluating import EvaluateOptions
 from baggie.policies.learned import check_device
 from baggie.processes import Executor, LocalProcesses
 from baggie.results import EVALUATION, check_unmixed, provenance, write_json
+from baggie.workcell.workcell_file import read_workcell_file
 
 __all__ = ["EvaluateOptions", "OpenSetup", "evaluate"]
 
@@ -126,8 +127,6 @@ def _robot(options: EvaluateOptions) -> dict[str, Any]:
     """What moved, where a file says it."""
     if options.workcell is None or not options.workcell.exists():
         return {}
-    from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
-
     return {"robot": read_workcell_file(options.workcell).arm.title(options.workcell.parent)}
 
 

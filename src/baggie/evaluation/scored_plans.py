@@ -1,8 +1,4 @@
-"""Whether plans for the steps of a task would count, by all that was as right as what the demonstrator chose.
-
-What recorded steps carried, told by the height maps of their episodes.
-
-What was as right as each recorded step, told by the height maps of its episode alone.
+"""How many plans for the steps of a task would count, by all that was as right as what the demonstrator chose.
 
 A step carried something to somewhere, which the maps before and after it show (`baggie.vision.carried`). Steps that
 have nothing to do with each other could have come in any order: before each of them all was right that any of them did.

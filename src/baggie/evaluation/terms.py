@@ -16,6 +16,7 @@ from baggie.options.values import USUAL_TASK, GoalKind, Scenery
 from baggie.policies import ColorMaskPolicy
 from baggie.policies.baselines import CONFIG_FILE
 from baggie.registry import TASKS
+from baggie.workcell.workcell_file import read_workcell_file
 
 _GOALS = {"turned": "turned goals", "card": "card"}
 
@@ -82,8 +83,6 @@ class Terms:
 
 def _says(workcell: Path) -> str:
     """A fingerprint of what a workcell file says, and the calibrations it names, but for where arm and camera are."""
-    from baggie.workcell.workcell_file import read_workcell_file  # noqa: PLC0415 -- MuJoCo takes its time
-
     if not workcell.exists():
         return UNKNOWN
     file = read_workcell_file(workcell)

@@ -1,10 +1,9 @@
 """What every arm must do, as a function, in the style of Gymnasium's `check_env`: run it against an arm of your own.
 
-Whether an arm feels what it touches, on a firm thing of known height; and where its tool's x axis points.
-
-Where the tool comes to rest does not tell: one that feels nothing rests on a hard thing, too, and presses. So it is
-sent a little below the top again and again, and how long that takes is compared with as long a way through the air: an
-arm that feels ends early, one that does not pushes on to the end.
+It also finds out whether an arm feels, on a firm thing of known height, and where its tool's x axis points. Where the
+tool comes to rest does not tell: one that feels nothing rests on a hard thing, too, and presses. So it is sent a little
+below the top again and again, and how long that takes is compared with as long a way through the air: an arm that feels
+ends early, one that does not pushes on to the end.
 """
 
 from __future__ import annotations

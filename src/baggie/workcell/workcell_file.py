@@ -1,7 +1,4 @@
-"""What a person writes down about a workcell, in YAML.
-
-What a person writes down about what lies on the table, and how it is to be handled.
-"""
+"""What a person writes down, in YAML, about a workcell, what lies on its table, and how that is to be handled."""
 
 from __future__ import annotations
 
