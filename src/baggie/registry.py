@@ -1,7 +1,8 @@
 """What there is by name, ours and that of other installed packages; each is imported when it is first asked for.
 
 A package adds to a group by an entry point: in its pyproject.toml, `[project.entry-points."baggie.policies"]` and below
-it `mine = "my_package.module:MyPolicy"`. What is made once, an arm or a camera of one's own, may be named by its module.
+it `mine = "my_package.module:MyPolicy"`. An arm or a camera of one's own may be
+named by its module.
 """
 
 from __future__ import annotations
