@@ -11,7 +11,6 @@ from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 
@@ -222,12 +221,16 @@ def tool_pose(T_base_hand: ArrayLike) -> ToolPose:
 
 def from_vector(vector: ArrayLike) -> FloatArray:
     """`(6,)`, a rotation vector (radians) and then a translation -> `(4, 4)`."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- half a second, for what mostly starts without
+
     vector = np.asarray(vector, float).reshape(6)
     return rigid(Rotation.from_rotvec(vector[:3]).as_matrix(), vector[3:])
 
 
 def to_vector(transform: ArrayLike) -> FloatArray:
     """The inverse of `from_vector`: `(4, 4)` -> `(6,)`."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- as above
+
     t = np.asarray(transform, float)
     return np.concatenate([Rotation.from_matrix(t[:3, :3]).as_rotvec(), t[:3, 3]])
 
@@ -240,6 +243,8 @@ def transform_points(transform: ArrayLike, points: ArrayLike) -> FloatArray:
 
 def difference(a: ArrayLike, b: ArrayLike) -> tuple[float, float]:
     """How far two transforms `(4, 4)` between the same frames are apart: metres, radians."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- as above
+
     turn = np.asarray(a, float)[:3, :3].T @ np.asarray(b, float)[:3, :3]
     shift = np.asarray(a, float)[:3, 3] - np.asarray(b, float)[:3, 3]
     return float(np.linalg.norm(shift)), float(Rotation.from_matrix(turn).magnitude())

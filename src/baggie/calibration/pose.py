@@ -16,8 +16,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
-from scipy.special import gammaincinv
 
 from baggie.errors import CalibrationError
 from baggie.geometry import FloatArray, invert_transform, is_rigid, rigid, transform_points
@@ -68,6 +66,8 @@ class UncertainTransform:
 
     def error_of(self, truth: ArrayLike) -> FloatArray:
         """`(6,)`: the error (w, d) that would make this transform the true one."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- who only reads a pose does not wait for it
+
         truth = np.asarray(truth, float)
         turn = Rotation.from_matrix(truth[:3, :3] @ self.transform[:3, :3].T).as_rotvec()
         return np.concatenate([turn, truth[:3, 3] - self.transform[:3, 3]])
@@ -85,6 +85,8 @@ def squared_radius(probability: float) -> float:
 
     The quantile of a chi-square distribution; from scipy.special, as scipy.stats takes half a second to import.
     """
+    from scipy.special import gammaincinv  # noqa: PLC0415 -- as above
+
     return float(2 * gammaincinv(6 / 2, probability))
 
 
@@ -278,7 +280,8 @@ def _ransac(points: FloatArray, pixels: FloatArray, intrinsics: Intrinsics) -> F
 
 
 def _refine(pose: FloatArray, points: FloatArray, pixels: FloatArray, intrinsics: Intrinsics) -> FloatArray:
-    from scipy.optimize import least_squares  # noqa: PLC0415 -- who only reads a pose does not wait for it
+    from scipy.optimize import least_squares  # noqa: PLC0415 -- as above
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415
 
     def moved(error: FloatArray) -> FloatArray:
         turned = Rotation.from_rotvec(error[:3]).as_matrix() @ pose[:3, :3]

@@ -17,7 +17,6 @@ from baggie.entries import Section, Words
 from baggie.errors import BaggieError
 from baggie.geometry import Grid
 from baggie.types import Intrinsics, Observation
-from baggie.vision.height_map import fuse
 
 
 @runtime_checkable
@@ -170,5 +169,7 @@ class HeightMapCamera:
         Raises `CameraError` when a camera gives none, `BaggieError` when one gives no depth or no intrinsics.
         """
         seen = [camera.look() for camera in self._cameras]
+        from baggie.vision.height_map import fuse  # noqa: PLC0415 -- scipy takes its time
+
         fused = fuse(seen, self._poses, self.grid)
         return Observation(fused.color, time=seen[-1].time, grid=self.grid, height=fused.height)

@@ -22,7 +22,6 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from baggie.calibration.files import MAP_FILE
-from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.data import lerobot
 from baggie.data.files import (
     CALIBRATION_FOLDER,
@@ -169,7 +168,11 @@ class Dataset(Sequence[Attempt]):
         map.
         """
         path = self.root / CALIBRATION_FOLDER / MAP_FILE
-        return ImageToRobot.load(path).camera.size if path.exists() else self.settings.picture_size
+        if not path.exists():
+            return self.settings.picture_size
+        from baggie.calibration.image_to_robot.map import ImageToRobot  # noqa: PLC0415 -- most are read without
+
+        return ImageToRobot.load(path).camera.size
 
     @property
     def squeezed(self) -> bool:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose
@@ -17,6 +16,7 @@ from baggie.types import Image
 
 if TYPE_CHECKING:
     import mujoco
+    from scipy.spatial.transform import Rotation
 
 GRID = 7  # points along each side; 7 x 7 points on 4 x 4 x 1 cells is the coarsest that still drapes
 LONG_ASPECT = 1.2

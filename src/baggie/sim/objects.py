@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, planar_pose, rigid
@@ -17,6 +16,7 @@ from baggie.types import Image
 
 if TYPE_CHECKING:
     import mujoco
+    from scipy.spatial.transform import Rotation
 
 Pose = PlanarPose | FloatArray
 """Flat on the table, or `T_base_body` `(4, 4)`."""
@@ -249,6 +249,8 @@ class RigidBody:
 
     def pose(self) -> FloatArray:
         """`T_base_body` `(4, 4)` now."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- tasks are listed without it
+
         position, quaternion = self._place()
         return rigid(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
 
@@ -267,6 +269,8 @@ class RigidBody:
 
     def put(self, pose: Pose, *, undented: bool = True) -> None:
         """Lay it somewhere, at rest, without time passing; it takes no dents."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- as above
+
         position, quaternion = self._place()
         T = self._standing(pose) if isinstance(pose, PlanarPose) else np.asarray(pose, float)
         position[:] = T[:3, 3]
@@ -280,6 +284,8 @@ class RigidBody:
         self.put(rigid(turn.as_matrix(), shift) @ self.pose())
 
     def _standing(self, pose: PlanarPose) -> FloatArray:
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 -- as above
+
         height = self.thing.size_m[2] / 2 if isinstance(self.thing, Block) else 0.0
         turn = Rotation.from_euler("z", pose.yaw).as_matrix()
         return rigid(turn, [pose.x, pose.y, height])
