@@ -141,7 +141,8 @@ def arrays_in(path: Path) -> Iterator[tuple[str, Any]]:
             yield from flat("", json.loads(path.read_text()))
         case ".jsonl":
             lines = [json.loads(line) for line in path.read_text().splitlines()]
-            yield from flat("", [Episode.from_json(line).to_json() for line in lines])
+            read = [Episode.from_json(line).to_json() for line in lines]  # whatever version logged them
+            yield from flat("", json.loads(json.dumps(read)))
         case ".yaml":
             yield from flat("", yaml.safe_load(path.read_text()))
         case ".parquet":
