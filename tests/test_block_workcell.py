@@ -115,7 +115,7 @@ def test_red_blocks_end_in_green_bowls_and_nothing_else_moves(bowls: SimulatedWo
     bowls.reset([seed])
     others = [block.name for block in bowls.scene.blocks if not block.name.startswith("red")]
     before = {name: bowls.world.planar_pose(name) for name in others}
-    assert finish(bowls) == pytest.approx(1.0)
+    assert finish(bowls).total == pytest.approx(1.0)
     assert strict(bowls)
     assert others
     assert all(bowls.world.planar_pose(name).distance(pose) < 1e-3 for name, pose in before.items())
@@ -127,7 +127,7 @@ def test_boxes_of_many_sizes_are_aligned() -> None:
     for seed in range(4):
         cell.reset([seed])
         sizes.add(cell.world.things["box"].size_m)
-        assert finish(cell) == 1.0
+        assert finish(cell).total == 1.0
         assert strict(cell)
     assert len(sizes) == 4
     with pytest.raises(CameraError, match="pictures=True"):

@@ -270,7 +270,7 @@ def test_a_simulated_camera_has_bounds(size):
 
 @pytest.mark.parametrize(("known", "camera"), [([2048, 1536], (2048, 1536)), ([640, 360], PICTURE_SIZE)])
 def test_a_policy_is_evaluated_with_its_own_camera(known, camera, tmp_path):
-    from baggie.evaluation.opening import camera_size
+    from baggie.evaluation.setup import camera_size
 
     config = {"policy": "keypoint", "cell": 0, "picture_size": [640, 360], "camera_size": known}
     (tmp_path / checkpoint.CONFIG).write_text(yaml.safe_dump(config))

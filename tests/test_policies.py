@@ -22,6 +22,7 @@ from baggie.policies.base import check_policy
 from baggie.policies.keypoint.policy import KeypointNet
 from baggie.policies.planning import View
 from baggie.policies.regression import RegressionNet, Regressor, ResNet18, load_imagenet
+from baggie.tasks.conditions import AtGoal, State
 from helpers.synthetic import box_corners, make_attempt
 
 SIZE = (640, 360)
@@ -48,25 +49,32 @@ def regression():
     return RegressionPolicy(RegressionNet(), SIZE, 0, "outline", (0, 0, 255))
 
 
+def told(places, condition):
+    """An oracle that is told where things are whenever it is asked."""
+    return OraclePolicy(lambda: condition.next_action(State({}, places)))
+
+
 def test_the_oracle_keeps_the_contract(attempt):
-    truth = attempt.truth
-    oracle = OraclePolicy(lambda: truth.before, lambda: truth.after)
+    oracle = told({"bag": attempt.truth.before}, AtGoal("bag", attempt.truth.after))
     check_policy(oracle, attempt.before, goal_of(attempt), looks_at_goal=False)
 
 
 def test_oracle_says_the_truth_as_it_is_now(attempt):
-    poses = [PlanarPose(0.4, 0.1, 0.2), PlanarPose(0.5, -0.1, 0.0)]
-    oracle = OraclePolicy(lambda: poses[0], lambda: poses[1])
-    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick.xy.tolist() == [poses[0].x, poses[0].y]
-    poses[0] = PlanarPose(0.6, 0.0)
-    assert oracle.plan(attempt.before, goal_of(attempt)).action.pick.xy.tolist() == [poses[0].x, poses[0].y]
+    places = {"bag": PlanarPose(0.4, 0.1, 0.2)}
+    oracle = told(places, AtGoal("bag", PlanarPose(0.5, -0.1, 0.0)))
+    for place in (places["bag"], PlanarPose(0.6, 0.0)):
+        places["bag"] = place
+        assert oracle.plan(attempt.before, goal_of(attempt)).action.pick.xy.tolist() == [place.x, place.y]
+    places["bag"] = PlanarPose(0.5, -0.095)  # there it is done
+    with pytest.raises(BaggieError, match="the task is done"):
+        oracle.plan(attempt.before, goal_of(attempt))
 
 
 @pytest.mark.parametrize("symmetry", [0, 1, 2, 4])
 @pytest.mark.parametrize("yaws", [(2.5, -3.0), (-0.2, 0.1), (1.5, 1.7)])
 def test_the_oracle_turns_the_wrist_no_more_than_it_has_to(attempt, symmetry, yaws):
-    bag, goal = (PlanarPose(0.5, 0.0, yaw) for yaw in yaws)
-    action = OraclePolicy(lambda: bag, lambda: goal, lambda: symmetry).plan(attempt.before).action
+    bag, goal = PlanarPose(0.5, 0.0, yaws[0]), PlanarPose(0.5, 0.2, yaws[1])
+    action = told({"bag": bag}, AtGoal("bag", goal, symmetry)).plan(attempt.before).action
     turn = 2 * math.pi / symmetry if symmetry else 0.0
     turned = action.place.yaw - action.pick.yaw
     assert abs(action.pick.yaw) <= turn / 2 + 1e-9

@@ -87,7 +87,7 @@ def test_the_true_outline_is_where_the_bag_is_seen(cell: SimulatedWorkcell) -> N
     color = cell.look().color.astype(int)
     red = color[..., 0] - color[..., 1:].max(axis=2) > 30
     v, u = np.nonzero(red)
-    middle = cell.goal_corners(cell.truth()).mean(axis=0)
+    middle = cell.outline(cell.truth()).mean(axis=0)
     np.testing.assert_allclose([u.mean(), v.mean()], middle, atol=4.0)
 
 
