@@ -52,7 +52,7 @@ def test_the_cup_lies_wholly_on_what_is_picked_and_the_thing_ends_in_its_slot(ta
     rng = np.random.default_rng(seed)
     scene = task.draw(rng)
     poses, score = poses_of(scene), Score(scene.conditions)
-    while (left := remaining(scene.conditions, poses)) is not None:
+    while (left := remaining(scene.conditions, State.of(poses))) is not None:
         action = rightly(scene, poses, rng)
         assert action.pick.yaw == 0.0
         assert REACH.contains(action.place.x, action.place.y)
@@ -142,7 +142,7 @@ def test_a_step_is_wasted_now_and_then_on_the_bare_table_or_by_putting_a_thing_a
             assert min(
                 ends.distance(planar_pose(poses[thing.name])) - reach_m(thing) for thing in others
             ) > reach_m(next(block for block in scene.blocks if block.name == moved[0]))
-            assert remaining(scene.conditions, after) is not None
+            assert remaining(scene.conditions, State.of(after)) is not None
         else:
             kinds["bare"] += 1
             assert min(distance_to(thing, poses, action.pick) for thing in things) > CUP_RADIUS_M

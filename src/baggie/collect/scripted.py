@@ -13,7 +13,7 @@ from baggie import seeds
 from baggie.collect.recording import OpenCell, Recording, Size
 from baggie.data import DatasetWriter, inspect_dataset
 from baggie.data.record import fit, without_depth
-from baggie.errors import LimitError, ReachError
+from baggie.errors import BaggieError, LimitError, ReachError
 from baggie.geometry import Grid
 from baggie.operator import Operator
 from baggie.options.collecting import CollectOptions
@@ -64,7 +64,7 @@ class Scripted:
 
     def open_worker(self, recording: Recording) -> OpenWorker[int, list[Attempt]]:
         """Shows whole demonstrations, each by its number."""
-        return functools.partial(_open_worker, self._open_cell, self._task, recording)
+        return functools.partial(_open_worker, self._open_cell, self._task.name, recording)
 
     def summary(self, rate: float | None) -> dict[str, Any]:
         """What `inspect` says of the recording, and the demonstrations a minute."""
@@ -140,12 +140,18 @@ def _steps(cell: Workcell, task: Task, recording: Recording, number: int) -> Ite
 
 
 def _open_worker(
-    open_cell: OpenCell, task: Task, recording: Recording, _operator: Operator
+    open_cell: OpenCell, name: str, recording: Recording, _operator: Operator
 ) -> Callable[[int], Iterable[list[Attempt]]]:
     cv2.setNumThreads(1)
-    cell = open_cell(recording.cell)
+    task, cell = TASKS[name], open_cell(recording.cell)
 
     def show(number: int) -> Iterable[list[Attempt]]:
-        yield demonstrate(cell, task, recording, number)
+        shown = demonstrate(cell, task, recording, number)
+        if not shown:
+            raise BaggieError(
+                f"expected something to do in every scene of {name}, got demonstration {number}, in which nothing is; "
+                "draw scenes in which not every condition holds yet"
+            )
+        yield shown
 
     return show

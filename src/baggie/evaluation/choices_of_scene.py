@@ -88,8 +88,9 @@ def replayed(scene: Scene, steps: Sequence[Done]) -> Iterator[SceneChoices]:
     }
     score = Score(scene.conditions)
     for step in steps:
-        left = remaining(scene.conditions, poses)
-        if left is None:
+        left = remaining(scene.conditions, State.of(poses))
+        # What is soft does not end as it is carried.
+        if left is None or not blocks.keys() >= set(left.blocks):
             return
         yield SceneChoices(
             [(blocks[name], planar_pose(poses[name])) for name in left.blocks],

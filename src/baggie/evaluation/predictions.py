@@ -234,7 +234,11 @@ def save_worst_pictures(
         scene.mark("pick", attempt.box_before, action.pick, right.pick),
         scene.mark("place", attempt.box_after, action.place, right.place),
     ]
-    save_jpeg(out / f"{name}.jpg", marked(picture, scene.region, marks))
+    known = [
+        mark for mark in marks if np.isfinite(mark.true).all()
+    ]  # where nobody looked for it there is no place
+    shown = marked(picture, scene.region, known) if known else scene.region.cut(picture)
+    save_jpeg(out / f"{name}.jpg", shown)
     views = policy.plan(attempt.before, goal).views
     if views:
         save_jpeg(out / f"{name}-heat.jpg", heat_over(backdrop(attempt.before), scene.region, views))

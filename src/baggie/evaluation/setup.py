@@ -253,7 +253,7 @@ def camera_size(options: EvaluateOptions) -> tuple[int, int]:
     if options.policy == ColorMaskPolicy.name:
         folder = calibration_folder(options.calibration or options.out)
         return ColorMaskPolicy.load(folder).image_to_robot.camera.size
-    width, height = config_of(options.policy)["camera_size"]
+    width, height = config_of(options.policy).get("camera_size", PICTURE_SIZE)  # another package may say none
     # A size that nobody wrote down is that of the recorded pictures, and the simulator's camera has a finer one.
     return PICTURE_SIZE if same_shape((width, height), PICTURE_SIZE) else (width, height)
 

@@ -54,11 +54,18 @@ class Split:
         """
         most = (USUAL_TRAIN if train is None else train) + (USUAL_VAL if val is None else val)
         chosen: list[Attempt] = []
+        succeeded = 0
         for attempt in attempts:
             if len(chosen) >= most:
                 break
+            succeeded += attempt.outcome.success
             if is_demonstration(attempt):
                 chosen.append(replace(attempt, before=Observation(attempt.before.color), after=None))
+        if succeeded and not chosen:
+            raise DataError(
+                f"expected attempts with a goal in a camera's picture, got {succeeded} that succeeded, none with one: "
+                "a task whose conditions say where things go is learned by transporter, from height maps"
+            )
         teaching, measuring = shares(len(chosen), train, val, ("attempts", "that succeeded"))
         chosen = chosen[: teaching + measuring]
         check_alike(chosen)

@@ -67,7 +67,7 @@ class CollectOptions(Options):
     """`varied`: every ten attempts another bag, table and light, and other things about; see `baggie.sim.variety`."""
     style: CollectedStyle = "plain"
     """Where a script demonstrates: things are picked by their middles and in a fixed order; or, `varied`, as others
-    demonstrate: anywhere and in any order, and a step is wasted now and then.
+    demonstrate with a cup: anywhere and in any order, and a step is wasted now and then.
     """
     workcell: Path | None = None
     """A workcell file instead; the map from the picture to the robot that it points to is used, if it does."""
@@ -102,6 +102,11 @@ class CollectOptions(Options):
             raise UsageError(
                 f"expected no --style with --task {self.task}, which nobody demonstrates, got {self.style}; leave it "
                 f"out, or take a task among {', '.join(shown)}"
+            )
+        if self.style != "plain" and TASKS[self.task].tool != "cup":
+            raise UsageError(
+                f"expected no --style with --task {self.task}, whose things a hand has to take by their middles, got "
+                f"{self.style}; leave it out"
             )
 
     @property

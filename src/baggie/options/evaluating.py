@@ -138,8 +138,8 @@ class EvaluateOptions(Options):
                 )
         if self.policy == COLOR_MASK:
             raise UsageError(
-                f"expected a policy that looks at height maps with --task {self.task}, got {self.policy}, which finds "
-                "bags; give the folder of a transporter run, or oracle"
+                f"expected a policy that knows the task with --task {self.task}, got {self.policy}, which takes a bag "
+                "to a goal in the picture; give the folder of a run that was taught it, or oracle"
             )
 
 

@@ -192,10 +192,10 @@ class AtGoal:
         return PickPlace(replace(thing, yaw=pick_yaw), replace(self.goal, yaw=place_yaw))
 
 
-def remaining(conditions: Sequence[Condition], poses: Poses) -> Remaining | None:
-    """What is left of the first condition with slots to fill; None when every block is in its slot, strictly."""
-    found = (each.remaining(poses) for each in conditions if isinstance(each, InSlots))
-    return next((left for left in found if left is not None), None)
+def remaining(conditions: Sequence[Condition], state: State) -> Remaining | None:
+    """What is left of the first condition that does not hold, strictly; None where that has no slots, or all hold."""
+    first = next((each for each in conditions if not each.holds(state)), None)
+    return first.remaining(state.poses) if isinstance(first, InSlots) else None
 
 
 def carry(

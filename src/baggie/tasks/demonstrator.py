@@ -42,12 +42,13 @@ def varied_action(scene: Scene, state: State, rng: np.random.Generator) -> PickP
 
     Any block that the first condition that does not hold still has to move, picked anywhere where the cup's lip lies
     wholly on it, goes to any of its free slots, by any of the turns that come to the same. Of `WASTED` of all steps,
-    half take the block somewhere free on the table, and half go down beside everything.
+    half take the block somewhere free on the table, and half go down beside everything. A condition without slots is
+    made so as it says itself.
     """
     poses = state.poses
-    left = remaining(scene.conditions, poses)
+    left = remaining(scene.conditions, state)
     if left is None:
-        return None
+        return next_action(scene.conditions, state)
     name = left.blocks[int(rng.integers(len(left.blocks)))]
     slot = left.slots[int(rng.integers(len(left.slots)))]
     block = next(block for block in scene.blocks if block.name == name)

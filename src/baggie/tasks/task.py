@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
@@ -100,6 +101,19 @@ class Task:
     """Whether a policy is given a goal in the picture; else the conditions say where things go."""
     depth: bool = False
     """Whether the camera's depth is recorded with its pictures."""
+
+    def __post_init__(self) -> None:
+        if not any(thing.movable for thing in self.things):
+            raise BaggieError(
+                f"expected something that can be carried among the things of {self.name}, got "
+                f"{', '.join(thing.name for thing in self.things) or 'none'}; add a Block or a Bag"
+            )
+        soft = [thing.name for thing in self.things if thing.soft]
+        if self.tool == "cup" and soft:
+            raise BaggieError(
+                f"expected rigid things only in {self.name}, as no cup seals on soft ones, got {', '.join(soft)}; take "
+                "the tool hand"
+            )
 
     @property
     def blocks(self) -> tuple[Block, ...]:
