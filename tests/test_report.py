@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from baggie.errors import BaggieError, DataError
+from baggie.evaluation.log import Credit, Episode, Landing
+from baggie.evaluation.terms import Terms
 from baggie.options.evaluating import ReportOptions
-from baggie.report.report import report
+from baggie.report.items import Evaluation, Results
+from baggie.report.report import labelled, report
 from baggie.results import provenance, write_json, write_results
 from helpers import bag_evaluations as closed_loop
 from helpers.bag_evaluations import evaluate_here
@@ -66,6 +69,27 @@ def test_a_policy_is_shown_under_each_test_it_was_put_to(tmp_path, runs):
     assert "5 of 5 things to within 2 cm" in words  # the plain closed loop is still what the page is about
     assert "pick and place inside their radius" in words
     assert "100% and 100%" in words  # of the validated policy: 5 mm of 6, 6 to 8 mm of 10.5
+
+
+def test_tasks_are_told_apart_where_there_are_several(tmp_path):
+    """One of goals in the picture beside the usual one, and two that say themselves what counts."""
+    landing = Landing((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+    ended = {"landing": landing}, {"credit": Credit(1.0, ravens_success=True, success=True)}
+
+    def tried(policy, task, end):
+        episode = Episode(0, (), "", "", 0.0, **ended[end])
+        return Evaluation(tmp_path, policy, policy, {}, policy, Terms(task, cell=0), [episode])
+
+    pairs = [
+        ("keypoint", "bag-place", 0),
+        ("mine", "bag-there", 0),
+        ("oracle", "bag-place", 0),
+        ("oracle", "tower", 1),
+    ]
+    some = labelled(Results([], [], [tried(*pair) for pair in pairs])).labels()
+    assert some == ["keypoint", "mine, bag-there", "oracle", "oracle, tower"]
+    alone = labelled(Results([], [], [tried("mine", "bag-there", 0), tried("other", "tower", 1)])).labels()
+    assert alone == ["mine", "other"]
 
 
 def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):

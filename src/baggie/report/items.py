@@ -115,10 +115,11 @@ def in_words(episode: Episode) -> str:
     """How an episode ended: how far from the goal, or how much of the task was done."""
     if episode.landing is not None:
         return f"ends {episode.landing.distance_cm:.1f} cm from the goal"
+    steps = "1 step" if len(episode.steps) == 1 else f"{len(episode.steps)} steps"
     if episode.credit is None or episode.credit.success:
-        return f"done in {len(episode.steps)} steps"
+        return f"done in {steps}"
     trouble = episode.message or episode.failure
-    return f"{100 * episode.credit.partial_credit:.0f}% done in {len(episode.steps)} steps · {trouble}"
+    return f"{100 * episode.credit.partial_credit:.0f}% done in {steps} · {trouble}"
 
 
 @dataclass(frozen=True)

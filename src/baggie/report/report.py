@@ -19,6 +19,7 @@ from baggie.evaluation.log import read_episodes
 from baggie.evaluation.terms import Terms
 from baggie.files import only_ours, read_yaml, write_text
 from baggie.options.evaluating import ReportOptions
+from baggie.options.values import USUAL_TASK
 from baggie.report.items import BASELINES, Evaluation, Results, Series, Training, Validation
 from baggie.report.sections import content
 
@@ -56,7 +57,8 @@ def labelled(results: Results) -> Results:
     """The same results, each with a label that tells it from what else is on the page.
 
     A policy is as many rows as it has runs, and as there are terms it was tried on. Its first workcell, a simulated one
-    where there is one, goes without saying, as does its task where it is the only one.
+    where there is one, goes without saying, as does its task where it is the usual one, the only one it was tried on or
+    the only one with goals in the picture.
     """
     runs = {(item.policy, item.run) for item in results.items()}
     several = {policy for policy, count in Counter(policy for policy, _ in runs).items() if count > 1}
@@ -65,10 +67,13 @@ def labelled(results: Results) -> Results:
         return [replace(i, label=f"{i.policy} ({i.run})" if i.policy in several else i.policy) for i in items]
 
     evaluations = sorted(named(results.evaluations), key=lambda each: each.terms.workcell is not None)
-    tests = Counter(each.label for each in evaluations)
+    tried_on = {(each.label, each.terms.task) for each in evaluations}
+    tasks = Counter(label for label, _ in tried_on)
+    with_goals = {each.terms.task for each in evaluations if each.landings()}
     first: dict[str, str] = {}
     for number, each in enumerate(evaluations):
-        task = each.terms.task if each.credits() and tests[each.label] > 1 else ""
+        several_tasks = tasks[each.label] > 1 or (each.landings() and len(with_goals) > 1)
+        task = each.terms.task if several_tasks and each.terms.task != USUAL_TASK else ""
         label = ", ".join(filter(None, [each.label, task, each.terms.harder]))
         place = first.setdefault(label, each.terms.place)
         label = label if each.terms.place == place else f"{label}, {each.terms.place}"
