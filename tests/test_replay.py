@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from baggie.cameras.camera import check_camera
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.errors import BaggieError, CameraError, LimitError, ReachError
+from baggie.evaluation.setup import open_setup
 from baggie.geometry import PlanarPose, Rectangle
+from baggie.options.evaluating import EvaluateOptions
 from baggie.robot.arm import Arm
 from baggie.types import PickPlace, Plan
 from baggie.workcell.config import open_workcell
@@ -74,3 +78,10 @@ def test_a_workcell_file_may_name_a_recording(recording: Dataset) -> None:
     cell = open_workcell(path)
     assert cell.settings.workspace == Rectangle(0.3, 0.6, -0.3, 0.3)
     np.testing.assert_array_equal(cell.look().color, recording[0].before.color)
+
+
+def test_no_policy_is_tried_in_a_recording(recording: Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"arm: {{kind: replay, recording: {recording.root}}}\n")
+    with pytest.raises(BaggieError, match=r"a real arm in .*, got a recording"):
+        open_setup(EvaluateOptions("color-mask", tmp_path / "out", workcell=path))

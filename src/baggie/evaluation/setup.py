@@ -205,12 +205,14 @@ def open_setup(options: EvaluateOptions) -> Setup:
 def _open_real(options: EvaluateOptions, path: Path) -> Setup:
     """In a real workcell things are where its own camera sees them; `color-mask` plans with the workcell's own map."""
     from baggie.workcell.config import RealWorkcell, open_workcell  # noqa: PLC0415 -- as below
+    from baggie.workcell.replay import ReplayWorkcell  # noqa: PLC0415
 
     cell = open_workcell(path)
     try:
         if not isinstance(cell, RealWorkcell):
+            got = "a recording" if isinstance(cell, ReplayWorkcell) else "a simulated workcell"
             raise BaggieError(
-                f"expected a real arm in {path}, got a simulated workcell; give its number: --cell N"
+                f"expected a real arm in {path}, got {got}; try policies in a cell by its number: --cell N"
             )
         find = ObjectFinder(cell, path)
         policy: Policy
