@@ -14,7 +14,7 @@ from baggie.errors import BaggieError, DataError, UsageError
 from baggie.evaluation.choices_of_scene import Done, replayed
 from baggie.evaluation.marked_pictures import Region
 from baggie.evaluation.predictions import Prediction, RecordedView, save_worst_pictures
-from baggie.evaluation.setup import camera_size
+from baggie.evaluation.setup import UNKNOWN, camera_size, fingerprint
 from baggie.geometry import PlanarPose
 from baggie.learning.split import Split
 from baggie.operator import Nobody
@@ -145,6 +145,17 @@ def test_a_task_in_which_a_cup_meets_what_is_soft_is_one_line() -> None:
 def test_a_policy_that_says_nothing_of_a_camera_sees_the_simulators(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("policy: mine\n")
     assert camera_size(EvaluateOptions(str(tmp_path), tmp_path / "out")) == PICTURE_SIZE
+
+
+def test_a_policy_without_weights_is_another_once_it_is_saved_anew(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("policy: mine\n")
+    (tmp_path / "map.yaml").write_text("1\n")
+    (tmp_path / "evaluation").mkdir()
+    before = fingerprint(str(tmp_path))
+    (tmp_path / "evaluation" / "metrics.json").write_text("{}")
+    assert fingerprint(str(tmp_path)) == before != UNKNOWN
+    (tmp_path / "map.yaml").write_text("2\n")
+    assert fingerprint(str(tmp_path)) not in (before, UNKNOWN)
 
 
 def test_attempts_without_a_goal_in_the_picture_are_said_to_have_none() -> None:

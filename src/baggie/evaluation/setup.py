@@ -96,13 +96,16 @@ def policy_name(policy: str) -> str:
 
 
 def fingerprint(policy: str) -> str:
-    """Changes when a run is trained or exported again: the hash of its weights; `UNKNOWN` for what has none."""
+    """Changes when a run is trained, exported or saved again: the hash of its weights, or, where it has none, of all
+    files of its folder; `UNKNOWN` for a policy known by name.
+    """
     if policy in NAMED:
         return UNKNOWN
     folder = checkpoint.fetch(policy)
-    return fingerprint_of(
-        folder / (checkpoint.GRAPH if checkpoint.is_exported(folder) else checkpoint.WEIGHTS)
-    )
+    learned = folder / (checkpoint.GRAPH if checkpoint.is_exported(folder) else checkpoint.WEIGHTS)
+    if learned.exists():
+        return fingerprint_of(learned)
+    return fingerprint_of(*sorted(path for path in folder.iterdir() if path.is_file()))
 
 
 def fingerprint_of(*files: Path, besides: bytes = b"") -> str:
