@@ -14,6 +14,7 @@ from baggie.evaluation.log import Credit, Episode, Landing
 from baggie.evaluation.terms import Terms
 from baggie.options.evaluating import ReportOptions
 from baggie.report.items import Evaluation, Results
+from baggie.report.numbers import _about as numbers_about
 from baggie.report.report import labelled, report
 from baggie.results import provenance, write_json, write_results
 from helpers import bag_evaluations as closed_loop
@@ -90,6 +91,8 @@ def test_tasks_are_told_apart_where_there_are_several(tmp_path):
     assert some == ["keypoint", "mine, bag-there", "oracle", "oracle, tower"]
     alone = labelled(Results([], [], [tried("mine", "bag-there", 0), tried("other", "tower", 1)])).labels()
     assert alone == ["mine", "other"]
+    about = numbers_about(Results([], [], [tried("other", "tower", 1)]), stated=False)
+    assert about.startswith("Success is strict;")
 
 
 def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):

@@ -250,7 +250,8 @@ def _about(results: Results, stated: bool) -> str:
         within = " or ".join(f"{radius:g}" for radius in radii)
         about.append(f"With a goal in the picture, success is an object within {within} cm of it.")
     if results.credited:
-        about.append("Success of other tasks is strict; partial credit is a mean of what Ravens rewards.")
+        of_others = " of other tasks" if results.landed else ""
+        about.append(f"Success{of_others} is strict; partial credit is a mean of what Ravens rewards.")
     if results.evaluations:
         about.append("Intervals are Wilson's, of 95%; decisions are medians.")
     return " ".join(about)
