@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baggie.collect import scripted
+from baggie.collect import collect, scripted
 from baggie.collect.recording import Recording, open_simulated_cell
 from baggie.collect.scripted import Scripted
 from baggie.errors import BaggieError, DataError, UsageError
@@ -28,6 +28,7 @@ from baggie.tasks.conditions import Condition, InSlots, Slot, State, remaining
 from baggie.tasks.demonstrator import varied_action
 from baggie.tasks.task import Scene, Task
 from baggie.types import PickPlace, Plan
+from baggie.workcell.simulated import SimulatedWorkcell
 from helpers.synthetic import make_attempt
 
 BAGS = (Bag(name="blue bag"), Bag(name="green bag"))
@@ -183,3 +184,18 @@ def test_a_picture_in_which_nobody_looked_for_the_thing_has_no_marks(tmp_path: P
 
     record = save_worst_pictures(tmp_path, view, attempt, planned, Silent())
     assert (tmp_path / record["picture"]).exists()
+
+
+def test_a_scenery_that_a_task_does_not_draw_is_refused():
+    with pytest.raises(BaggieError, match=f"scenery plain with the task {NAME}, whose scenes do not vary"):
+        SimulatedWorkcell(0, _task(BESIDE), scenery="varied", pictures=False)
+
+
+def test_a_simulated_workcell_in_a_file_has_the_usual_task(tmp_path, monkeypatch):
+    monkeypatch.setitem(TASKS._found, NAME, replace(_task(), has_goal=True))
+    monkeypatch.setattr(type(TASKS), "__contains__", lambda self, name: name in (NAME, "bag-place"))
+    file = tmp_path / "cell.yaml"
+    file.write_text("arm: sim\n")
+    with pytest.raises(BaggieError, match=r"expected --task bag-place with .*cell\.yaml"):
+        collect(CollectOptions(tmp_path / "out", task=NAME, workcell=file), operator=Nobody())
+    assert not (tmp_path / "out").exists()

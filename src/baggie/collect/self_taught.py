@@ -32,6 +32,7 @@ from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle
 from baggie.operator import Line, Operator, progress
 from baggie.options.collecting import CollectOptions
+from baggie.options.values import USUAL_TASK
 from baggie.pictures import read_picture, recorded_size, same_shape, write_figure
 from baggie.processes import OpenWorker
 from baggie.types import Attempt, Truth
@@ -145,6 +146,11 @@ def _written(options: CollectOptions) -> tuple[OpenCell, Callable[[], str], dict
     written = read_workcell_file(path)
     if written.arm.real and options.workers not in (None, 1):
         raise BaggieError(f"expected --workers 1 with {path}, which has one arm, got {options.workers}")
+    if not written.arm.real and options.task != USUAL_TASK:
+        raise BaggieError(
+            f"expected --task {USUAL_TASK} with {path}, which describes a simulated workcell with one bag, got "
+            f"{options.task}; leave --workcell out, or give that of a real arm"
+        )
     table = {**written.model_dump(mode="json", include={"workspace"}), "bag": written.bag.recorded()}
     opener = functools.partial(open_written_cell, written, path)
     return opener, functools.partial(written.arm.title, path.parent), {"workcell": table}

@@ -71,6 +71,10 @@ class SimulatedWorkcell(Workcell):
         described = settings or _settings(self.task, self._things, cell)
         self._rng = np.random.default_rng(_FIRST)
         self.scene = self._draw(described.workspace, _FIRST)
+        if scenery != "plain" and self.scene.variety is None:
+            raise BaggieError(
+                f"expected the scenery plain with the task {self.task.name}, whose scenes do not vary, got {scenery!r}"
+            )
         self.world = self._build()
         self._tool = SimulatedArm(self.world) if self.task.tool == "hand" else SuctionArm(self.world)
         self._view: SimulatedView = NoPictures()
