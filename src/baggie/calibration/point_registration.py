@@ -11,7 +11,6 @@ from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from baggie.calibration.pose import UncertainTransform
 from baggie.geometry import FloatArray, rigid, transform_points
@@ -58,6 +57,8 @@ def inliers(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
     of points finds a good half; then points come back, the nearest first, until an F test says that one is no part of
     the rest. The scale is free, or a wrongly printed board would make the points furthest out look wrong.
     """
+    from scipy.special import fdtrc  # noqa: PLC0415 -- who only reads a calibration does not wait for it
+
     count = len(a)
     if count < 5:
         return np.ones(count, np.bool_)

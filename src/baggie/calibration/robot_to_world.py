@@ -14,7 +14,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import fdtri
 
 from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.files import Calibration, CameraCalibrated, CameraIdentity
@@ -240,6 +239,8 @@ def fit_from_points(world: ArrayLike, base: ArrayLike, touch_std_m: float = TOUC
         variance = max(variance, touch_std_m**2)
     else:
         # Known from few touches: as much wider as makes the 95% region of `holds` that of an F distribution.
+        from scipy.special import fdtri  # noqa: PLC0415 -- who only reads a calibration does not wait for it
+
         variance *= 6 * fdtri(6, spare, 0.95) / squared_radius(0.95)
     covariance = rigid_covariance(T_world_base, base[used], np.sqrt(variance))
     pose = UncertainTransform(T_world_base, covariance)

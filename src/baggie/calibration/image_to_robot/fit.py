@@ -13,7 +13,6 @@ from typing import Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from baggie.calibration.image_to_robot.projection import (
     MIN_POINTS,
@@ -139,7 +138,8 @@ def adjust(
     lens: Intrinsics, matrix: FloatArray, terms: tuple[int, ...], points: FloatArray, pixels: FloatArray
 ) -> Adjusted:
     """Least squares on reprojection over the matrix, whose scale has no meaning, and these lens terms."""
-    from scipy.optimize import least_squares  # noqa: PLC0415 -- who only reads a map does not wait for it
+    from scipy.linalg import null_space  # noqa: PLC0415 -- who only reads a map does not wait for it
+    from scipy.optimize import least_squares  # noqa: PLC0415
 
     numbers = to_numbers(lens, matrix)
     basis = np.zeros((len(numbers), len(terms) + matrix.size - 1))
