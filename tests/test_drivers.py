@@ -5,6 +5,7 @@ Who registers another one says here how it is opened without the device.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -156,5 +157,8 @@ def test_a_real_workcell_opens_without_the_simulator(tmp_path: Path) -> None:
         yaml.safe_dump({"arm": PYTHON_ARM, "camera": {"kind": "opencv", "source": video(tmp_path)}})
     )
     program = f"import sys, baggie; baggie.open_workcell({str(path)!r}); assert 'mujoco' not in sys.modules"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
