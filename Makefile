@@ -13,7 +13,7 @@ demo: $(STAMP) ## from nothing to a robot moving bags, and a report: minutes on 
 	$(BIN)/python examples/demo.py
 
 # What tests of one file share is made once. Two processes have two cores: threads of theirs would only wait.
-test: $(STAMP) browser ## the fast tests, 4 minutes on two cores, 7 where they are threads of one
+test: $(STAMP) browser ## the fast tests, 4 to 8 minutes on two cores
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(STAMP) browser ## the tests that take minutes, and all laws on many examples
