@@ -27,7 +27,6 @@ from baggie.geometry import PlanarPose, Rectangle
 from baggie.operator import Operator, errand
 from baggie.robot.handling_rules import ROOM_M
 from baggie.seeds import first_fit
-from baggie.tasks.conditions import State
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection
 from baggie.workcell.by_color import LONG, detect
@@ -139,7 +138,7 @@ class Turn:
     outcome: Outcome | None = None
     after: Observation | None = None
     found_after: Detection | None = None
-    state_before: State | None = None
+    truth_before: PlanarPose | None = None
     """The truth, where somebody knows it: it is recorded, and never looked at."""
     tries: int = 0
     looks: int = 0
@@ -155,7 +154,7 @@ class Turn:
 def look(turn: Turn) -> Phase:
     """Take a picture with the arm out of the way."""
     turn.before = turn.cell.look()
-    turn.state_before = turn.cell.state()
+    turn.truth_before = turn.cell.truth()
     turn.looks += 1
     return Phase.FIND
 

@@ -301,11 +301,8 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
 
 def _truth(turn: Turn) -> Truth | None:
     """Where the object was before and is now, where somebody knows it."""
-    scene, after = turn.cell.scene, turn.cell.state()
-    if scene is None or turn.state_before is None or after is None:
-        return None
-    name = scene.carried.name
-    return Truth(turn.state_before.places[name], after.places[name])
+    after = turn.cell.truth()
+    return Truth(turn.truth_before, after) if turn.truth_before and after else None
 
 
 def _box(found: Detection | None) -> FloatArray:

@@ -126,9 +126,8 @@ class ByDistance:
     knows.
     """
 
-    film_fps = (
-        10  # so that videos are twice as fast as it was: half the frames to draw, and nobody has to wait
-    )
+    # So that videos are twice as fast as it was: half the frames to draw, and nobody has to wait.
+    film_fps = 10
 
     def __init__(self, setup: Setup, options: EvaluateOptions, stream: Sequence[int], stem: Path) -> None:
         """Draw the goal, and lay a card there where it is given by one."""

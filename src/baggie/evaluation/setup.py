@@ -131,14 +131,14 @@ class Setup:
 
     def object_in(self, seen: Observation) -> PlanarPose:
         """Where the object was in the last picture: the truth, which is what it was then, or else as that shows."""
-        return self._known() or self._found(seen)
+        return self.cell.truth() or self._found(seen)
 
     def object_at_start(self) -> PlanarPose:
         """Where the object lies in a scene that has just begun: the truth, or else as a picture of it shows.
 
         Raises `BaggieError` where that shows none, or one that lies where no plan gets it back: that takes a person.
         """
-        if (known := self._known()) is not None:
+        if (known := self.cell.truth()) is not None:
             return known
         here, reach = self._found(self.cell.look()), self.cell.settings.limits.workspace
         if not reach.contains(here.x, here.y):
@@ -147,10 +147,6 @@ class Setup:
                 "give the same command again: it goes on from there"
             )
         return here
-
-    def _known(self) -> PlanarPose | None:
-        state, scene = self.cell.state(), self.cell.scene
-        return None if state is None or scene is None else state.places[scene.carried.name]
 
     def _found(self, seen: Observation) -> PlanarPose:
         assert self.find is not None, "nobody knows where the object is"

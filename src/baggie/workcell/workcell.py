@@ -208,6 +208,11 @@ class Workcell:
         """Where everything is now; None where nobody knows. Moves nothing and looks at nothing."""
         return None
 
+    def truth(self) -> PlanarPose | None:
+        """Where the object that is carried is now; None where nobody knows."""
+        state = self.state()
+        return None if state is None or self.scene is None else state.places[self.scene.carried.name]
+
     def give_goal(self, goal: PlanarPose) -> None:
         """Let what counts in the scene, where it is known, be that the object comes to lie at a goal."""
         if self.scene is not None:
