@@ -237,10 +237,17 @@ def require_goal(goal: Goal | None) -> Goal:
 
 @dataclass(frozen=True)
 class PickPlace:
-    """The action: where to grasp and where to let go, in the robot's base frame. Height is found by touch."""
+    """The action: where to grasp and where to let go, in the robot's base frame.
+
+    How high that is follows from what lies there: the table, or a stack of known height; else touch finds it.
+    """
 
     pick: PlanarPose
     place: PlanarPose
+    pick_on_m: float | None = 0.0
+    """Height above the table of what the thing to be picked lies on, metres: 0 the table; None where nobody knows."""
+    place_on_m: float | None = 0.0
+    """The same of what it shall be placed on."""
 
     def carry(self, pose: PlanarPose) -> PlanarPose:
         """Where a thing comes to lie that is at `pose` and moves with the hand from the pick to the place."""

@@ -152,9 +152,10 @@ def _sayings(action: PickPlace, here: float, symmetry: int, tool: int) -> list[P
     hand = [2 * math.pi * k / alike for k in range(alike // math.gcd(alike, symmetry))]
     thing = [2 * math.pi * k / symmetry for k in range(symmetry)]
     return [
-        PickPlace(
-            replace(pick, yaw=(pick_yaw := nearest_angle(pick.yaw + tool_turn + a, here))),
-            replace(place, yaw=nearest_angle(place.yaw + tool_turn + b, pick_yaw)),
+        replace(
+            action,
+            pick=replace(pick, yaw=(pick_yaw := nearest_angle(pick.yaw + tool_turn + a, here))),
+            place=replace(place, yaw=nearest_angle(place.yaw + tool_turn + b, pick_yaw)),
         )
         for tool_turn in hand
         for a in thing

@@ -124,7 +124,9 @@ class InSlots:
             return action
         along = wrap_angle(yaw_of(T_base_block), 2 * np.pi / self.symmetry)
         pick, place = action.pick, action.place
-        return PickPlace(replace(pick, yaw=along), replace(place, yaw=wrap_angle(along + place.yaw)))
+        return replace(
+            action, pick=replace(pick, yaw=along), place=replace(place, yaw=wrap_angle(along + place.yaw))
+        )
 
     def filled(self, poses: Poses) -> dict[str, int]:
         """The slot that each block fills, strictly; no two fill the same, and those that fill none are left out."""
