@@ -7,19 +7,21 @@ Writes docs/media/calibration-*.jpg.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
 import tyro
 
 from baggie.cli.main import main as baggie
 from baggie.evaluation.marked_pictures import save_jpeg
 from baggie.options.values import BOARD
 from baggie.pictures import read_picture
-from baggie.types import Image
 from baggie.vision.printing import draw_target
 from baggie.vision.targets import parse_target
+from helpers.printed_pages import page_picture
 
 MEDIA = Path("docs/media")
 _DPI = 80
@@ -48,7 +50,7 @@ def main(options: Options) -> None:
         if status := baggie(["calibrate", *command, "--cell", str(options.cell)]):
             raise SystemExit(status)
     pictures = {
-        "print": _page(),
+        "print": page_picture(draw_target(parse_target(BOARD), "A3"), _DPI),
         "intrinsics": read_picture(out / "camera.png"),
         "image-to-robot": read_picture(out / "image-to-robot.png"),
         "table": read_picture(out / "camera-to-world.live.jpg"),
@@ -57,17 +59,6 @@ def main(options: Options) -> None:
     for name, picture in pictures.items():
         save_jpeg(MEDIA / f"calibration-{name}.jpg", picture)
         print(MEDIA / f"calibration-{name}.jpg")
-
-
-def _page() -> Image:
-    """A printed page as a picture."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-
-    figure = draw_target(parse_target(BOARD), "A3")
-    figure.set_dpi(_DPI)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
 if __name__ == "__main__":

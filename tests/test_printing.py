@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from baggie.errors import BaggieError, DataError
 from baggie.sim.printed import texture
-from baggie.types import Image
 from baggie.vision.pattern import pattern
 from baggie.vision.printing import draw_goal_card, draw_target, print_goal_card, print_target
 from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, parse_target
+from helpers.printed_pages import page_picture, page_words
 
 DPI = 150
 BOARD = parse_target("charuco:7x5:0.030:0.021:DICT_4X4_50")
@@ -24,13 +22,6 @@ TARGETS = [
     ArucoMarker("DICT_5X5_100", 7, 0.1),
     Charuco(4, 6, 0.03, 0.02, "DICT_4X4_50", True),
 ]
-
-
-def drawn(figure: Figure, dpi: int = DPI) -> Image:
-    figure.set_dpi(dpi)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
 def millimetres(pixels: np.ndarray, dpi: int = DPI) -> np.ndarray:
@@ -74,7 +65,7 @@ def test_no_black_lies_on_black_or_outside(columns: int, rows: int, legacy: bool
 def test_a_printed_target_is_found_the_right_way_up_at_true_size(
     target: Charuco | Chessboard | ArucoMarker,
 ) -> None:
-    seen = target.detect(drawn(draw_target(target)))
+    seen = target.detect(page_picture(draw_target(target), DPI))
     assert seen is not None
     assert len(seen.ids) == len(target.points)
     found, wanted = millimetres(seen.pixels), 1000 * seen.points[:, :2]
@@ -100,7 +91,7 @@ def test_a_chessboard_is_counted_from_the_same_end_however_it_lies_and_is_found(
 
 @pytest.mark.parametrize("paper", ["A4", "A3"])
 def test_the_ruler_is_100_mm_long(paper: str) -> None:
-    grey = drawn(draw_target(BOARD, paper)).min(axis=2)
+    grey = page_picture(draw_target(BOARD, paper), DPI).min(axis=2)
     footer = grey[-int(20 / 25.4 * DPI) :] < 128
     longest = max(
         (len(run) for row in footer for run in "".join("#" if dark else " " for dark in row).split()),
@@ -136,12 +127,25 @@ def test_the_page_is_the_paper_lying_as_the_target_fits(
     assert (tmp_path / "again.pdf").read_bytes() == content
 
 
+def test_a_page_says_what_is_on_it_and_how_to_print_it() -> None:
+    pages = {
+        "charuco:7x5:0.03:0.021:DICT_4X4_50 7 x 5 squares of 30 mm, markers of 21 mm": draw_target(BOARD),
+        "charuco:4x6:0.03:0.02:DICT_4X4_50, legacy layout": draw_target(TARGETS[3]),
+        "goal card 130 mm solid square, RGB 1 2 3; cut": draw_goal_card(0.13, (1, 2, 3), "A4", "solid"),
+    }
+    for words, page in pages.items():
+        said = page_words(page)
+        for each in (words, "Print at 100 %, then measure the ruler.", "80 90 100 mm"):
+            assert each in said
+
+
 @pytest.mark.parametrize("style", ["solid", "outline"])
 def test_a_goal_card_has_its_size_and_colour(style: str) -> None:
     color = (26, 140, 51)
-    page = drawn(draw_goal_card(0.13, color, "A4", style))  # type: ignore[arg-type]
+    dpi = 2 * DPI  # a page is drawn on whole pixels: a card on it up to one larger
+    page = page_picture(draw_goal_card(0.13, color, "A4", style), dpi)  # type: ignore[arg-type]
     v, u = np.nonzero((page[..., 0] < 140) & (np.ptp(page, axis=2) > 50))  # more colour than paper
-    np.testing.assert_allclose(millimetres(np.array([np.ptp(u) + 1, np.ptp(v) + 1])), 130.0, atol=0.2)
+    np.testing.assert_allclose(millimetres(np.array([np.ptp(u) + 1, np.ptp(v) + 1]), dpi), 130.0, atol=0.2)
     middle = page[(v.min() + v.max()) // 2, (u.min() + u.max()) // 2]
     np.testing.assert_array_equal(middle, color if style == "solid" else (255, 255, 255))
 

@@ -6,18 +6,12 @@ millimetres from the page's top left corner, x right and y down.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyArrowPatch, PathPatch
-from matplotlib.path import Path as Outline
+from reportlab.lib.units import mm
+from reportlab.pdfgen.canvas import Canvas
 
 from baggie.errors import BaggieError, UsageError
 from baggie.files import write_bytes
@@ -32,18 +26,10 @@ PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0)}
 RULER_MM = 100
 # Left free around a drawing: 7 mm that printers may leave white, and 6 mm for axes or cut marks; below it the text.
 _MARGIN, _ASIDE, _FOOTER = 7.0, 6.0, 22.0
-_LIGHT = "0.6"
+_LIGHT = 0.6
+_POINT = 1 / mm  # in millimetres: thicknesses of lines and sizes of letters are usually told in points
+_LETTERS = 7 * _POINT
 _OUTLINE = 0.08  # thickness of an outlined card's line, of its side
-
-
-@dataclass(frozen=True)
-class _Page:
-    figure: Figure
-    axes: Axes
-    corner: FloatArray
-    """`(2,)`: top left corner of the drawing."""
-    size: FloatArray
-    """`(2,)`: its width and height."""
 
 
 def print_target(target: Target, path: Path, paper: str = "A4") -> None:
@@ -51,7 +37,7 @@ def print_target(target: Target, path: Path, paper: str = "A4") -> None:
 
     Raises `BaggieError` where it does not fit the paper and `WriteError` where the file cannot be written.
     """
-    _save(draw_target(target, paper), path, target.spec)
+    write_bytes(path, draw_target(target, paper))
 
 
 def print_goal_card(
@@ -65,22 +51,22 @@ def print_goal_card(
 
     Raises `BaggieError` where it does not fit the paper and `WriteError` where the file cannot be written.
     """
-    _save(draw_goal_card(size_m, color, paper, style), path, f"goal card {1000 * size_m:g} mm")
+    write_bytes(path, draw_goal_card(size_m, color, paper, style))
 
 
-def draw_target(target: Target, paper: str = "A4") -> Figure:
-    """The page that `print_target` writes."""
+def draw_target(target: Target, paper: str = "A4") -> bytes:
+    """The PDF that `print_target` writes."""
     drawing = pattern(target)
     name = target.spec + (", legacy layout" if isinstance(target, Charuco) and target.legacy else "")
-    page = _page(1000 * drawing.size, paper, target.spec, name, _in_words(target))
-    black = 1000 * (drawing.black - drawing.bounds[[0, 1, 0, 1]]) + page.corner[[0, 1, 0, 1]]
-    page.axes.add_patch(_rectangles(black, "black"))
-    _mark_axes(page, page.corner - 1000 * drawing.bounds[:2])
-    return page.figure
+    page, corner = _page(1000 * drawing.size, paper, target.spec, name, _in_words(target))
+    _fill(page, 1000 * (drawing.black - drawing.bounds[[0, 1, 0, 1]]) + corner[[0, 1, 0, 1]])
+    _mark_axes(page, corner, corner - 1000 * drawing.bounds[:2])
+    content: bytes = page.getpdfdata()
+    return content
 
 
-def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style: DrawnStyle) -> Figure:
-    """The page that `print_goal_card` writes."""
+def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style: DrawnStyle) -> bytes:
+    """The PDF that `print_goal_card` writes."""
     if not 0 < size_m < 1 or any(not 0 <= value <= 255 for value in color):
         raise BaggieError(
             f"expected a goal card of 0..1 m and a colour of three numbers 0..255, got {size_m:g} m and {color}; "
@@ -88,10 +74,10 @@ def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style
         )
     side = 1000 * size_m
     words = f"{style} square, RGB {color[0]} {color[1]} {color[2]}; cut along the marks"
-    page = _page(
+    page, corner = _page(
         np.array([side, side]), paper, f"a goal card of {side:g} mm", f"goal card {side:g} mm", words
     )
-    left, top, right, bottom = *page.corner, *(page.corner + side)
+    left, top, right, bottom = *corner, *(corner + side)
     line = _OUTLINE * side
     solid = [[left, top, right, bottom]]
     frame = [
@@ -100,24 +86,20 @@ def draw_goal_card(size_m: float, color: tuple[int, int, int], paper: str, style
         [left, top + line, left + line, bottom - line],
         [right - line, top + line, right, bottom - line],
     ]
-    squares = np.array(solid if style == "solid" else frame)
-    page.axes.add_patch(_rectangles(squares, tuple(value / 255 for value in color)))
+    page.setFillColorRGB(*(value / 255 for value in color))
+    _fill(page, np.array(solid if style == "solid" else frame))
     near, far = 1.5, _ASIDE
-    marks = [
-        mark
-        for x, out_x in ((left, -1), (right, 1))
-        for y, out_y in ((top, -1), (bottom, 1))
-        for mark in (
-            [(x + out_x * near, y), (x + out_x * far, y)],
-            [(x, y + out_y * near), (x, y + out_y * far)],
-        )
-    ]
-    page.axes.add_collection(LineCollection(marks, colors="black", linewidths=0.5))
-    return page.figure
+    page.setLineWidth(0.5 * _POINT)
+    for x, out_x in ((left, -1), (right, 1)):
+        for y, out_y in ((top, -1), (bottom, 1)):
+            page.line(x + out_x * near, y, x + out_x * far, y)
+            page.line(x, y + out_y * near, x, y + out_y * far)
+    content: bytes = page.getpdfdata()
+    return content
 
 
-def _page(size_mm: FloatArray, paper: str, what: str, name: str, words: str) -> _Page:
-    """An empty page on which a drawing of this size will be centred, with everything else already on it."""
+def _page(size_mm: FloatArray, paper: str, what: str, name: str, words: str) -> tuple[Canvas, FloatArray]:
+    """A page with everything on it but the drawing, and where that is centred: `(2,)` its top left corner."""
     if paper not in PAPERS:
         raise UsageError(f"expected paper {' or '.join(PAPERS)}, got {paper!r}")
     around = np.array([2 * (_MARGIN + _ASIDE), _MARGIN + _ASIDE + _FOOTER])
@@ -129,14 +111,13 @@ def _page(size_mm: FloatArray, paper: str, what: str, name: str, words: str) -> 
             + (f"print it on {larger[0]}" if larger else "make it smaller, A3 is the largest paper")
         )
     width, height = sheet
-    figure = Figure(figsize=(width / 25.4, height / 25.4))
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0))
-    axes.set_axis_off()
-    _write_footer(axes, width, height, name, words)
+    # Invariant: without a date, the same target is the same file.
+    page = Canvas("", pagesize=(width * mm, height * mm), bottomup=0, invariant=1)
+    page.setTitle(name)
+    page.scale(mm, mm)
+    _write_footer(page, width, height, name, words)
     top = _MARGIN + _ASIDE
-    return _Page(
-        figure, axes, np.array([(width - size_mm[0]) / 2, (top + height - _FOOTER - size_mm[1]) / 2]), size_mm
-    )
+    return page, np.array([(width - size_mm[0]) / 2, (top + height - _FOOTER - size_mm[1]) / 2])
 
 
 def _orientation(needed_mm: FloatArray, paper: str) -> tuple[float, float] | None:
@@ -147,53 +128,58 @@ def _orientation(needed_mm: FloatArray, paper: str) -> tuple[float, float] | Non
     return next((way for way in ways if (needed_mm <= np.array(way) + 1e-6).all()), None)
 
 
-def _write_footer(axes: Axes, width: float, height: float, name: str, words: str) -> None:
+def _write_footer(page: Canvas, width: float, height: float, name: str, words: str) -> None:
     left, right, top = _MARGIN + _ASIDE, width - _MARGIN - _ASIDE, height - _FOOTER + 7.0
-    axes.text(left, top, name, family="DejaVu Sans Mono", size=7, weight="bold", va="center")
-    axes.text(left, top + 4.0, words, size=6.5, va="center")
-    axes.text(left, top + 8.0, "Print at 100 %, then measure the ruler.", size=6.5, va="center", color="0.35")
+    _write(page, left, top, name, font="Courier-Bold")
+    _write(page, left, top + 4.0, words)
+    page.setFillGray(0.35)
+    _write(page, left, top + 8.0, "Print at 100 %, then measure the ruler.")
+    page.setFillGray(0)
+    page.setLineWidth(0.4 * _POINT)
     start = right - RULER_MM
-    ticks = np.arange(RULER_MM + 1)
-    lengths = np.where(ticks % 10 == 0, 3.5, np.where(ticks % 5 == 0, 2.5, 1.5))
-    lines = [[(start + k, top), (start + k, top + length)] for k, length in zip(ticks, lengths, strict=True)]
-    axes.add_collection(
-        LineCollection([*lines, [(start, top), (right, top)]], colors="black", linewidths=0.4)
-    )
-    for k in range(0, RULER_MM + 1, 10):
-        axes.text(
-            start + k, top + 5.5, f"{k} mm" if k == RULER_MM else f"{k}", size=6, ha="center", va="center"
-        )
+    page.line(start, top, right, top)
+    for k in range(RULER_MM + 1):
+        x = start + k
+        page.line(x, top, x, top + (3.5 if k % 10 == 0 else 2.5 if k % 5 == 0 else 1.5))
+        if k % 10 == 0:
+            _write(page, x, top + 5.5, f"{k} mm" if k == RULER_MM else f"{k}", centred=True)
 
 
-def _mark_axes(page: _Page, origin: FloatArray) -> None:
+def _mark_axes(page: Canvas, corner: FloatArray, origin: FloatArray) -> None:
     """Where the target's frame is: beside the pattern, light, from the level of its origin in the way of its axes."""
-    gap, length = _ASIDE - 2.0, 15.0
-    above, beside = page.corner - gap
-    for start, end, label in (
-        ((origin[0], beside), (origin[0] + length, beside), "x"),
-        ((above, origin[1]), (above, origin[1] + length), "y"),
+    above, beside = corner - (_ASIDE - 2.0)
+    page.setFillGray(_LIGHT)
+    page.setStrokeGray(_LIGHT)
+    page.setLineWidth(0.6 * _POINT)
+    for label, (x, y), (right, down) in (
+        ("x", (origin[0], beside), (1, 0)),
+        ("y", (above, origin[1]), (0, 1)),
     ):
-        arrow = FancyArrowPatch(
-            start, end, arrowstyle="-|>", mutation_scale=5, linewidth=0.6, color=_LIGHT, shrinkA=0, shrinkB=0
-        )
-        page.axes.add_patch(arrow)
-        page.axes.add_patch(Circle(start, 0.6, facecolor=_LIGHT, edgecolor="none"))
-        shift = (2.0, 0.0) if label == "x" else (0.0, 2.2)
-        page.axes.text(
-            end[0] + shift[0], end[1] + shift[1], label, size=7, ha="center", va="center", color=_LIGHT
-        )
+        page.circle(x, y, 0.6, stroke=0, fill=1)
+        page.line(x, y, x + 14.5 * right, y + 14.5 * down)
+        head = page.beginPath()
+        head.moveTo(x + 15 * right, y + 15 * down)
+        for aside in (-0.4, 0.4):
+            head.lineTo(x + 14.2 * right + aside * down, y + 14.2 * down + aside * right)
+        page.drawPath(head, stroke=0, fill=1)
+        _write(page, x + 17.1 * right, y + 17.1 * down, label, centred=True)
 
 
-def _rectangles(corners: FloatArray, color: str | tuple[float, ...]) -> PathPatch:
-    """Rectangles `(N, 4)` as one path: drawn one by one, viewers show hairlines where they meet."""
-    left, top, right, bottom = corners.T
-    points = np.stack(
-        [left, top, right, top, right, bottom, left, bottom, left, top], axis=1
-    )  # (N, 5 points x 2)
-    codes = [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY] * len(corners)
-    return PathPatch(
-        Outline(points.reshape(-1, 2), codes), facecolor=color, edgecolor="none", linewidth=0, snap=False
-    )
+def _write(
+    page: Canvas, x: float, y: float, words: str, *, font: str = "Helvetica", centred: bool = False
+) -> None:
+    """Write words from x on, or about it, with the middle of their capitals at y."""
+    page.setFont(font, _LETTERS)
+    draw = page.drawCentredString if centred else page.drawString
+    draw(x, y + 0.36 * _LETTERS, words)
+
+
+def _fill(page: Canvas, corners: FloatArray) -> None:
+    """Fill rectangles `(N, 4)` as one path: drawn one by one, viewers show hairlines where they meet."""
+    path = page.beginPath()
+    for left, top, right, bottom in corners:
+        path.rect(left, top, right - left, bottom - top)
+    page.drawPath(path, stroke=0, fill=1)
 
 
 def _in_words(target: Target) -> str:
@@ -208,14 +194,6 @@ def _in_words(target: Target) -> str:
         case ArucoMarker():
             return f"black square of {1000 * target.size_m:g} mm, marker {target.number}"
     return target.spec
-
-
-def _save(figure: Figure, path: Path, title: str) -> None:
-    content = BytesIO()
-    with rc_context({"pdf.fonttype": 42}):
-        # Without a date, the same target is the same file.
-        figure.savefig(content, format="pdf", metadata={"Title": title, "CreationDate": None})
-    write_bytes(path, content.getvalue())
 
 
 NAMED = {
