@@ -98,7 +98,7 @@ def test_baggie_itself_and_options_import_nothing_that_takes_long(module: str) -
     assert done.stdout == "\n"
 
 
-def test_a_command_imports_what_it_needs_and_no_simulator_and_no_pytorch(tmp_path: Path) -> None:
+def test_a_command_imports_what_it_needs_and_no_simulator_no_pytorch_and_no_plots(tmp_path: Path) -> None:
     from baggie.data import DatasetWriter
 
     with DatasetWriter(tmp_path / "data", task="t", robot_type="r", collection={}):
@@ -109,7 +109,7 @@ def test_a_command_imports_what_it_needs_and_no_simulator_and_no_pytorch(tmp_pat
     for words in ("inspect data", *shown, "print-target board --out board.pdf"):
         program = (
             "import sys\nfrom baggie.cli.main import main\nassert main(sys.argv[1:]) == 0\n"
-            "print(*(set(sys.modules) & {'torch', 'mujoco', 'gymnasium'}), file=sys.stderr)"
+            "print(*(set(sys.modules) & {'torch', 'mujoco', 'gymnasium', 'matplotlib'}), file=sys.stderr)"
         )
         command = [sys.executable, "-c", program, *words.split()]
         done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import shutil
 import sys
@@ -157,7 +158,9 @@ def _flags(options: type[Options]) -> set[str]:
 
 def _command_line(verb: Verb, options: type) -> type:
     """A class of all that may be said about a verb."""
-    parts: list[Any] = [("options", options)]
+    # Said here, as tyro would look for it: first, at length, in the source that a class made on the spot has not.
+    about = tyro.conf.arg(help=inspect.getdoc(options))
+    parts: list[Any] = [("options", Annotated[options, about])]
     if verb.choice is not None:
         names = named(verb.options).names()
         words = f"Each has options of its own, which --{verb.choice} NAME --help tells."

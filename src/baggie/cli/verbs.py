@@ -51,7 +51,7 @@ _WORKCELL = Group(
             "Everything a workcell file says, and what follows from that or is left to the defaults.",
             ("baggie workcell show cell.yaml",),
             f"{_SETTING_UP}:ShowWorkcellOptions",
-            f"{_COMMISSIONING}.new_workcell:shown_workcell",
+            "baggie.workcell.workcell_file:shown_workcell",
         ),
     },
 )

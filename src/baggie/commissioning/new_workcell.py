@@ -1,4 +1,4 @@
-"""`baggie workcell new` asks a person about a workcell and writes its file; `baggie workcell show` says what one means.
+"""`baggie workcell new` asks a person about a workcell and writes its file.
 
 An arm of a kind that is not in `ASKED`, another package's, is asked for what has no default.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,12 @@ from pydantic import BaseModel, ValidationError, create_model
 
 from baggie.cameras.camera import CameraSettings
 from baggie.cameras.opencv import is_live
-from baggie.errors import BaggieError, DataError, explained
+from baggie.errors import BaggieError, DataError
 from baggie.files import parse_yaml, write_text
 from baggie.operator import Answer, Operator, Parse, Question, TerminalOperator, choice
-from baggie.options.commissioning import NewWorkcellOptions, ShowWorkcellOptions
+from baggie.options.commissioning import NewWorkcellOptions
 from baggie.registry import ARMS, CAMERAS
-from baggie.robot.arm import ArmInfo, PythonArmEntry
+from baggie.robot.arm import PythonArmEntry
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
 from baggie.workcell.workcell_file import BagEntry, Bounds, WorkcellFile, read_workcell_file
@@ -343,33 +343,3 @@ def color(answer: str) -> list[int]:
 def spaced(values: tuple[Any, ...]) -> str:
     """A default of several, as a person would type it."""
     return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
-
-
-def shown_workcell(options: ShowWorkcellOptions) -> dict[str, Any]:
-    """What is written and what is left to defaults; of `handling` each value, and what it comes from.
-
-    Nothing is connected. Raises `BaggieError` for a file that cannot be used, and for a handling that this arm cannot
-    do; where the arm cannot be made here, `gripper` says why, and nothing follows from it.
-    """
-    path = options.file
-    written = read_workcell_file(path)
-    arm: ArmInfo | None = None
-    gripper = "of no real arm"
-    try:
-        arm = written.arm.info(path.parent)
-    except BaggieError as error:
-        gripper = f"not known here: {error}"
-    except ImportError as error:
-        if (known := explained(error)) is None:
-            raise
-        gripper = f"not known here: {known}"
-    if arm is not None:
-        if line := written.contradiction(arm):
-            raise BaggieError(f"{path}: {line}")
-        gripper = f"of {arm.name}: opens to {arm.max_width_m:g} m"
-    found = written.handled(arm)
-    handling = {
-        name: {"value": value, "source": found.sources[name]}
-        for name, value in asdict(found.handling).items()
-    }
-    return {**written.model_dump(mode="json"), "gripper": gripper, "handling": handling}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -12,8 +12,9 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from baggie.cameras import settings_of
 from baggie.cameras.camera import CameraEntry
 from baggie.entries import Metres, OfKind, Section, explain
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, explained
 from baggie.files import parse_yaml, read_text
+from baggie.options.commissioning import ShowWorkcellOptions
 from baggie.options.values import Color, Seed
 from baggie.registry import ARMS, CAMERAS
 from baggie.robot.arm import ArmEntry, ArmInfo
@@ -339,3 +340,34 @@ def read_workcell_file(path: Path) -> WorkcellFile:
         return WorkcellFile.model_validate(content)
     except ValidationError as error:
         raise BaggieError(explain(path, text, error, WorkcellFile)) from None
+
+
+def shown_workcell(options: ShowWorkcellOptions) -> dict[str, Any]:
+    """What `baggie workcell show` says: all that is written or left to defaults, and of `handling` what follows.
+
+    Each value of `handling` is with what it comes from. Nothing is connected. Raises `BaggieError` for a file that
+    cannot be used, and for a handling that this arm cannot do; where the arm cannot be made here, `gripper` says why,
+    and nothing follows from it.
+    """
+    path = options.file
+    written = read_workcell_file(path)
+    arm: ArmInfo | None = None
+    gripper = "of no real arm"
+    try:
+        arm = written.arm.info(path.parent)
+    except BaggieError as error:
+        gripper = f"not known here: {error}"
+    except ImportError as error:
+        if (known := explained(error)) is None:
+            raise
+        gripper = f"not known here: {known}"
+    if arm is not None:
+        if line := written.contradiction(arm):
+            raise BaggieError(f"{path}: {line}")
+        gripper = f"of {arm.name}: opens to {arm.max_width_m:g} m"
+    found = written.handled(arm)
+    handling = {
+        name: {"value": value, "source": found.sources[name]}
+        for name, value in asdict(found.handling).items()
+    }
+    return {**written.model_dump(mode="json"), "gripper": gripper, "handling": handling}
