@@ -24,9 +24,10 @@ from baggie.registry import TASKS
 from baggie.sim.bag import FULL_HEIGHT_M, Bag
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.sim.objects import Block, stand
-from baggie.tasks.conditions import Condition, InSlots, Slot, State, remaining
-from baggie.tasks.demonstrator import varied_action
-from baggie.tasks.task import Scene, Task
+from baggie.tasks.conditions import Condition, InSlots, Score, Slot, State, all_hold, remaining
+from baggie.tasks.demonstrator import next_action, varied_action
+from baggie.tasks.layout import scatter
+from baggie.tasks.task import Scene, Setting, Task
 from baggie.types import PickPlace, Plan
 from baggie.workcell.simulated import SimulatedWorkcell
 from helpers.synthetic import make_attempt
@@ -54,6 +55,16 @@ class LeftOf:
     def next_action(self, state: State, _tool: str) -> PickPlace:
         one, other = state.places[self.one], state.places[self.other]
         return PickPlace(one, PlanarPose(other.x, other.y + 0.15))
+
+
+class Stuck(LeftOf):
+    """Never so, and without a way to make it so."""
+
+    def __init__(self) -> None:
+        super().__init__("blue bag", "red bag")
+
+    def holds(self, _state: State) -> bool:
+        return False
 
 
 def _task(*conditions: Condition, tool="hand", things=BAGS, at=AT) -> Task:
@@ -95,6 +106,37 @@ def test_a_scene_in_which_nothing_is_to_be_done_is_one_line(monkeypatch) -> None
     show = scripted._open_worker(lambda _number: None, task.name, _recording(task), Nobody())
     with pytest.raises(BaggieError, match=r"in every scene of bag-beside-bag, got demonstration 3"):
         list(show(3))
+
+
+def test_what_drawing_a_scene_raises_is_one_line_with_the_tasks_name() -> None:
+    def refuse(_rng: np.random.Generator, _setting: Setting) -> Scene:
+        raise ValueError("two\nlines")
+
+    rng = np.random.default_rng(0)
+    said = "expected no error in draw_scene of the task bag-beside-bag, got ValueError: two lines; mend it"
+    with pytest.raises(BaggieError, match=said):
+        replace(_task(), draw_scene=refuse).draw(rng)
+    crowded = replace(_task(), draw_scene=lambda *_: scatter(dict.fromkeys("abcdefghi", 0.15), rng))
+    with pytest.raises(BaggieError, match="expected things that find room") as told:
+        crowded.draw(rng)
+    assert "draw_scene" not in str(told.value), "what is a line already is passed on"
+
+
+def test_what_a_condition_raises_is_one_line_with_the_tasks_name() -> None:
+    right, wrong = LeftOf("blue bag", "green bag"), LeftOf("blue bag", "red bag")
+    state = State.of({name: pose.upright(0.02) for name, pose in AT.items()})
+    good, bad, stuck = _task(right, wrong, Stuck()).draw(np.random.default_rng(0)).conditions
+    assert (good.weight, good.share(state), good.holds(state)) == (1.0, 0.0, False)
+    assert good.next_action(state, "hand") == right.next_action(state, "hand")
+    asked = {
+        "share": lambda: Score((bad,)).count(state),
+        "holds": lambda: all_hold((bad,), state),
+        "next_action": lambda: next_action((stuck,), state),
+    }
+    for name, ask in asked.items():
+        said = rf"\.{name} of the task bag-beside-bag, got KeyError: 'red bag'; mend it"
+        with pytest.raises(BaggieError, match=said):
+            ask()
 
 
 def test_only_a_cup_takes_things_anywhere(monkeypatch, tmp_path: Path) -> None:

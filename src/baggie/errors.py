@@ -77,6 +77,11 @@ _RUINED_MUJOCO = (
 )
 
 
+def in_a_line(error: Exception) -> str:
+    """Kind and words of an error that somebody else's code raised, on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
 def explained(error: ImportError) -> BaggieError | None:
     """One line on a library of the system that is missing, or on MuJoCo without its core; None for anything else."""
     text = str(error)

@@ -20,7 +20,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from baggie.errors import BaggieError, BaggieWarning
+from baggie.errors import BaggieError, BaggieWarning, in_a_line
 
 if TYPE_CHECKING:
     from baggie.cameras.camera import CameraEntry
@@ -47,9 +47,8 @@ def made_by(factory: str, options: Mapping[str, Any], folder: Path, what: str) -
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise BaggieError(
-            f"the {what}'s factory {factory!r} cannot be imported ({reason}); expected module:function, the "
+            f"the {what}'s factory {factory!r} cannot be imported ({in_a_line(error)}); expected module:function, the "
             f"module installed here or in {folder.resolve()}"
         ) from error
     make = getattr(module, name, None)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, in_a_line
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.objects import Block, Fixture, SceneObject
 from baggie.sim.variety import Variety
-from baggie.tasks.conditions import AtGoal, Condition, Tool
+from baggie.tasks.conditions import AtGoal, Condition, InSlots, State, Tool
+from baggie.types import PickPlace
 
 
 @dataclass(frozen=True)
@@ -121,5 +123,60 @@ class Task:
         return tuple(thing for thing in self.things if isinstance(thing, Block))
 
     def draw(self, rng: np.random.Generator, setting: Setting | None = None) -> Scene:
-        """A scene, drawn from a stream; of cell 0 with nothing varied unless a setting is given."""
-        return self.draw_scene(rng, setting or Setting(self.things))
+        """A scene, drawn from a stream; of cell 0 with nothing varied unless a setting is given.
+
+        Raises `BaggieError`, as its conditions then do, where code of the task's own raises anything.
+        """
+        with _naming("draw_scene", self.name):
+            scene = self.draw_scene(rng, setting or Setting(self.things))
+            known = (InSlots, AtGoal)
+            conditions = (
+                each if isinstance(each, known) else _Own(each, self.name) for each in scene.conditions
+            )
+            return replace(scene, conditions=tuple(conditions))
+
+
+@contextmanager
+def _naming(what: str, task: str) -> Iterator[None]:
+    """Raise `BaggieError` with the name of a task where this code of its own raises."""
+    try:
+        yield
+    except BaggieError:
+        raise
+    except Exception as error:  # whatever somebody else's code may raise
+        raise BaggieError(
+            f"expected no error in {what} of the task {task}, got {in_a_line(error)}; mend it: check_task of "
+            "baggie.collect.task_contract shows where"
+        ) from error
+
+
+@dataclass(frozen=True)
+class _Own:
+    """A condition of a class of a task's own, whose errors name the task."""
+
+    condition: Condition
+    task: str
+
+    @property
+    def weight(self) -> float:
+        """As the condition has it."""
+        with self._named("weight"):
+            return self.condition.weight
+
+    def share(self, state: State) -> float:
+        """As the condition says."""
+        with self._named("share"):
+            return self.condition.share(state)
+
+    def holds(self, state: State) -> bool:
+        """As the condition says."""
+        with self._named("holds"):
+            return self.condition.holds(state)
+
+    def next_action(self, state: State, tool: Tool) -> PickPlace | None:
+        """As the condition says."""
+        with self._named("next_action"):
+            return self.condition.next_action(state, tool)
+
+    def _named(self, what: str) -> AbstractContextManager[None]:
+        return _naming(f"{type(self.condition).__name__}.{what}", self.task)
