@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,9 +14,10 @@ from baggie.errors import BaggieError, DataError
 from baggie.evaluation.log import Credit, Episode, Landing
 from baggie.evaluation.terms import Terms
 from baggie.options.evaluating import ReportOptions
-from baggie.report.items import Evaluation, Results
+from baggie.report.items import Evaluation, Results, Training
 from baggie.report.numbers import _about as numbers_about
-from baggie.report.report import labelled, report
+from baggie.report.numbers import headline_tiles
+from baggie.report.report import gather, labelled, report
 from baggie.results import provenance, write_json, write_results
 from helpers import bag_evaluations as closed_loop
 from helpers.bag_evaluations import evaluate_here
@@ -72,27 +74,54 @@ def test_a_policy_is_shown_under_each_test_it_was_put_to(tmp_path, runs):
     assert "100% and 100%" in words  # of the validated policy: 5 mm of 6, 6 to 8 mm of 10.5
 
 
-def test_tasks_are_told_apart_where_there_are_several(tmp_path):
+GOAL = {"landing": Landing((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)}
+DONE = {"credit": Credit(1.0, ravens_success=True, success=True)}
+
+
+def tried(policy, task, ended, **metrics):
+    """An evaluation of one episode, which ended near a goal in the picture, or with a task done."""
+    episode = Episode(0, (), "", "", 0.0, **ended)
+    return Evaluation(Path(policy), policy, policy, metrics, policy, Terms(task, cell=0), [episode])
+
+
+def labels_of(*evaluations, trainings=()):
+    return labelled(Results(list(trainings), [], list(evaluations))).labels()
+
+
+def test_tasks_are_told_apart_where_there_are_several():
     """One of goals in the picture beside the usual one, and two that say themselves what counts."""
-    landing = Landing((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
-    ended = {"landing": landing}, {"credit": Credit(1.0, ravens_success=True, success=True)}
-
-    def tried(policy, task, end):
-        episode = Episode(0, (), "", "", 0.0, **ended[end])
-        return Evaluation(tmp_path, policy, policy, {}, policy, Terms(task, cell=0), [episode])
-
-    pairs = [
-        ("keypoint", "bag-place", 0),
-        ("mine", "bag-there", 0),
-        ("oracle", "bag-place", 0),
-        ("oracle", "tower", 1),
-    ]
-    some = labelled(Results([], [], [tried(*pair) for pair in pairs])).labels()
-    assert some == ["keypoint", "mine, bag-there", "oracle", "oracle, tower"]
-    alone = labelled(Results([], [], [tried("mine", "bag-there", 0), tried("other", "tower", 1)])).labels()
-    assert alone == ["mine", "other"]
-    about = numbers_about(Results([], [], [tried("other", "tower", 1)]), stated=False)
+    usual, there, tower = (
+        tried("keypoint", "bag-place", GOAL),
+        tried("mine", "bag-there", GOAL),
+        tried("other", "tower", DONE),
+    )
+    oracle = tried("oracle", "bag-place", GOAL), tried("oracle", "tower", DONE)
+    assert labels_of(usual, there, *oracle) == ["keypoint", "mine, bag-there", "oracle", "oracle, tower"]
+    assert labels_of(there, tower) == ["mine, bag-there", "other, tower"]
+    assert labels_of(tower, tried("other", "pyramid", DONE)) == ["other, tower", "other, pyramid"]
+    assert labels_of(usual, tower) == ["keypoint", "other, tower"]
+    assert labels_of(tower) == ["other"]
+    learned = Training(Path("other"), "other", "other", {}, "other", {}, {})
+    assert labels_of(usual, tower, trainings=[learned]) == ["other, tower", "keypoint"]
+    about = numbers_about(Results([], [], [tower]), stated=False)
     assert about.startswith("Success is strict;")
+
+
+def test_radii_are_told_apart_where_there_are_several():
+    usual, wide, wider = (tried("mine", "bag-place", GOAL, radius_cm=radius) for radius in (2.0, 3.0, 5.0))
+    assert labels_of(usual, wide) == ["mine", "mine, within 3 cm"]
+    assert labels_of(wide, wider) == ["mine, within 3 cm", "mine, within 5 cm"]
+    assert labels_of(wide) == ["mine"]
+
+
+def test_what_counts_within_another_radius_is_not_put_beside(tmp_path, runs):
+    run = runs / "keypoint"
+    wide = closed_loop.options(run / "wide", policy=str(run), film=0, radius_cm=3.0)
+    evaluate_here(wide, closed_loop.open_off_by_25_mm)
+    results = gather([runs])
+    assert {"keypoint", "keypoint, within 3 cm", "oracle"} <= set(results.labels())
+    (tile,) = (tile for tile in headline_tiles(results, "keypoint") if tile["what"].startswith("within 2 cm"))
+    assert [name for name, _ in tile["beside"]] == ["oracle"]
 
 
 def test_a_page_can_be_made_of_one_kind_of_result(tmp_path, runs):

@@ -89,6 +89,16 @@ class Evaluation(Reported):
         """How many times faster than it was its videos show it."""
         return PLAY_FPS / (ByDistance if self.landings() else ByConditions).film_fps
 
+    @property
+    def radius_cm(self) -> float | None:
+        """How near a goal in the picture counts as success; None for tasks that say themselves what counts."""
+        return self.metrics.get("radius_cm")
+
+    @property
+    def test(self) -> tuple[str, str, float | None]:
+        """What it was put to, wherever: the task, what is harder about it, and the radius."""
+        return self.terms.task, self.terms.harder, self.radius_cm
+
     def landings(self) -> list[Landing]:
         """Where objects ended, of every episode with a goal in the picture."""
         return [each.landing for each in self.episodes if each.landing is not None]

@@ -121,12 +121,8 @@ def _same_test(evaluations: Sequence[Evaluation], main: str) -> tuple[Evaluation
     own = next((each for each in evaluations if each.label == main), None)
     if own is None:
         return None, {}
-    terms = own.terms
-    return own, {
-        each.label: each.metrics
-        for each in evaluations
-        if each.label != main and (each.terms.task, each.terms.harder) == (terms.task, terms.harder)
-    }
+    same = [each for each in evaluations if each.label != main and each.test == own.test]
+    return own, {each.label: each.metrics for each in same}
 
 
 def _distance_tiles(results: Results, main: str) -> list[Content]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,14 +18,15 @@ from baggie.errors import BaggieError, DataError
 from baggie.evaluation.log import read_episodes
 from baggie.evaluation.terms import Terms
 from baggie.files import only_ours, read_yaml, write_text
-from baggie.options.evaluating import ReportOptions
+from baggie.options.evaluating import EvaluateOptions, ReportOptions
 from baggie.options.values import USUAL_TASK
-from baggie.report.items import BASELINES, Evaluation, Results, Series, Training, Validation
+from baggie.report.items import BASELINES, Evaluation, Reported, Results, Series, Training, Validation
 from baggie.report.sections import content
 
 _EVENTS = re.compile(r"events\.out\.tfevents\.\d+\..+\.\d+\.\d+")
 """What TensorBoard's writer calls its files: time, machine, process and count."""
 Found = TypeVar("Found", Training, Validation, Evaluation)
+Value = TypeVar("Value")
 
 
 def gather(folders: Sequence[Path]) -> Results:
@@ -56,29 +57,41 @@ def gather(folders: Sequence[Path]) -> Results:
 def labelled(results: Results) -> Results:
     """The same results, each with a label that tells it from what else is on the page.
 
-    A policy is as many rows as it has runs, and as there are terms it was tried on. Its first workcell, a simulated one
-    where there is one, goes without saying, as does its task where it is the usual one, the only one it was tried on or
-    the only one with goals in the picture.
+    A policy is as many rows as it has runs, and as there are terms it was tried on and radii that count. Its first
+    workcell, a simulated one where there is one, goes without saying, as do the usual task and radius, and those that
+    are the only ones on the page.
     """
     runs = {(item.policy, item.run) for item in results.items()}
     several = {policy for policy, count in Counter(policy for policy, _ in runs).items() if count > 1}
+    said_tasks = _said((each.terms.task for each in results.evaluations), USUAL_TASK)
+    said_radii = _said((each.radius_cm for each in results.landed), EvaluateOptions.radius_cm)
+    tried_on: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for each in results.evaluations:
+        tried_on[each.policy, each.run].add(each.terms.task)
 
-    def named(items: Sequence[Found]) -> list[Found]:
-        return [replace(i, label=f"{i.policy} ({i.run})" if i.policy in several else i.policy) for i in items]
+    def named(item: Reported, tasks: set[str]) -> str:
+        """The policy, with its run where there are several, and the task where it is about one that has to be said."""
+        run = f"{item.policy} ({item.run})" if item.policy in several else item.policy
+        return ", ".join([run, *(tasks & said_tasks)]) if len(tasks) == 1 else run
 
-    evaluations = sorted(named(results.evaluations), key=lambda each: each.terms.workcell is not None)
-    tried_on = {(each.label, each.terms.task) for each in evaluations}
-    tasks = Counter(label for label, _ in tried_on)
-    with_goals = {each.terms.task for each in evaluations if each.landings()}
+    def of_runs(items: Sequence[Found]) -> list[Found]:
+        return [replace(item, label=named(item, tried_on[item.policy, item.run])) for item in items]
+
     first: dict[str, str] = {}
-    for number, each in enumerate(evaluations):
-        several_tasks = tasks[each.label] > 1 or (each.landings() and len(with_goals) > 1)
-        task = each.terms.task if several_tasks and each.terms.task != USUAL_TASK else ""
-        label = ", ".join(filter(None, [each.label, task, each.terms.harder]))
+    evaluations = []
+    for each in sorted(results.evaluations, key=lambda each: each.terms.workcell is not None):
+        within = f"within {each.radius_cm:g} cm" if each.radius_cm in said_radii else ""
+        label = ", ".join(filter(None, [named(each, {each.terms.task}), each.terms.harder, within]))
         place = first.setdefault(label, each.terms.place)
         label = label if each.terms.place == place else f"{label}, {each.terms.place}"
-        evaluations[number] = replace(each, label=label)
-    return Results(named(results.trainings), named(results.validations), evaluations)
+        evaluations.append(replace(each, label=label))
+    return Results(of_runs(results.trainings), of_runs(results.validations), evaluations)
+
+
+def _said(values: Iterable[Value], usual: Value) -> set[Value]:
+    """Those that a label has to say: all but the usual one, where there are several."""
+    found = set(values)
+    return found - {usual} if len(found) > 1 else set()
 
 
 def _check_told_apart(items: Sequence[Training | Validation]) -> None:
