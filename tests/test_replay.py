@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.cameras.camera import check_camera
 from baggie.data import Dataset, DatasetWriter, open_dataset
-from baggie.errors import BaggieError, CameraError, LimitError, ReachError
+from baggie.errors import BaggieError, CalibrationError, CameraError, LimitError, ReachError
 from baggie.evaluation.setup import open_setup
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.evaluating import EvaluateOptions
@@ -18,7 +21,15 @@ from baggie.types import PickPlace, Plan
 from baggie.workcell.config import open_workcell
 from baggie.workcell.replay import ReplayWorkcell
 from baggie.workcell.workcell import Workcell
-from helpers.synthetic import TASK, make_attempt
+from helpers.synthetic import (
+    BAG_HEIGHT_M,
+    BAG_SIDE_M,
+    TASK,
+    box_corners,
+    image_to_robot,
+    intrinsics,
+    make_attempt,
+)
 
 SIZE = (64, 36)
 COUNT = 3
@@ -78,6 +89,34 @@ def test_a_workcell_file_may_name_a_recording(recording: Dataset) -> None:
     cell = open_workcell(path)
     assert cell.settings.workspace == Rectangle(0.3, 0.6, -0.3, 0.3)
     np.testing.assert_array_equal(cell.look().color, recording[0].before.color)
+
+
+def test_calibrations_of_the_camera_that_took_the_pictures_are_good_for_them(
+    recording: Dataset, tmp_path: Path
+) -> None:
+    """It had larger pictures than are recorded."""
+    root = Path(shutil.copytree(recording.root, tmp_path / "recording"))
+    own = image_to_robot()
+    own.save(root / "calibration" / "image-to-robot.yaml")
+    lens = CameraCalibration(own.camera, intrinsics(), None, (), None, None, (), (), (), "", "drawn")
+    lens.save(tmp_path / "lens.yaml")
+    path = tmp_path / "cell.yaml"
+    calibrations = "image_to_robot: recording/calibration/image-to-robot.yaml, intrinsics: lens.yaml"
+    path.write_text(
+        f"arm: {{kind: replay, recording: recording}}\ncalibrations: {{{calibrations}}}\n"
+        f"bag: {{length_m: {BAG_SIDE_M}, width_m: {BAG_SIDE_M}, height_m: {BAG_HEIGHT_M}}}\n"
+    )
+    cell = open_workcell(path)
+    seen = cell.look().intrinsics
+    assert seen is not None
+    np.testing.assert_allclose(seen.matrix, intrinsics(SIZE).matrix)
+    outline = np.roll(cell.outline(SOMEWHERE.pick), 2, axis=0)  # from the same corner on
+    np.testing.assert_allclose(outline, box_corners(SOMEWHERE.pick, SIZE), atol=1e-3)
+
+    replace(own, camera=replace(own.camera, name="another")).save(tmp_path / "another.yaml")
+    path.write_text(path.read_text().replace("recording/calibration/image-to-robot", "another"))
+    with pytest.raises(CalibrationError, match="of camera 'another' at 1280 x 720 pixels, not of 'drawn'"):
+        open_workcell(path)
 
 
 def test_no_policy_is_tried_in_a_recording(recording: Dataset, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from baggie import seeds
-from baggie.calibration.files import REFERENCE_FILE, CameraIdentity
+from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.projection import MIN_POINTS_TWO_HEIGHTS
 from baggie.collect.machine import MARGIN_M
@@ -72,7 +72,7 @@ def calibrate(cell: Workcell, seed: int) -> ImageToRobot:
     return ImageToRobot.fit(
         np.array(pixels),
         np.array(robot),
-        CameraIdentity(camera.name, *camera.size),
+        cell.calibrated_camera,
         intrinsics=camera.intrinsics,
         height_m=settings.object_size_m[2] / 2,
     )

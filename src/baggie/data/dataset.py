@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from baggie.calibration.files import MAP_FILE
+from baggie.calibration.files import MAP_FILE, CameraIdentity
 from baggie.data import lerobot
 from baggie.data.files import (
     CALIBRATION_FOLDER,
@@ -161,24 +161,31 @@ class Dataset(Sequence[Attempt]):
         return self.settings.collection
 
     @cached_property
-    def camera_size(self) -> tuple[int, int]:
-        """`(width, height)` at which the camera took the pictures, before they were resized for recording.
+    def camera(self) -> CameraIdentity | None:
+        """The camera that took the pictures, before they were resized for recording.
 
-        As the map says that the collector made; the recorded size where there is none. Raises DataError for a damaged
-        map.
+        As the map says that the collector made; None where there is none. Raises DataError for a damaged map.
         """
         path = self.root / CALIBRATION_FOLDER / MAP_FILE
         if not path.exists():
-            return self.settings.picture_size
+            return None
         from baggie.calibration.image_to_robot.map import ImageToRobot  # noqa: PLC0415 -- most are read without
 
-        return ImageToRobot.load(path).camera.size
+        return ImageToRobot.load(path).camera
+
+    @property
+    def camera_size(self) -> tuple[int, int]:
+        """`(width, height)` of that camera's pictures; the recorded size where it is not known.
+
+        Raises DataError as `camera` does.
+        """
+        return self.camera.size if self.camera else self.settings.picture_size
 
     @property
     def squeezed(self) -> bool:
         """Whether pictures were resized to another shape than the camera's, as older versions did.
 
-        Raises DataError as `camera_size` does.
+        Raises DataError as `camera` does.
         """
         return not same_shape(self.camera_size, self.settings.picture_size)
 

@@ -86,9 +86,8 @@ def open_workcell(source: str | Path, cell: int = 0) -> Workcell:
 def open_written(written: WorkcellFile, path: Path) -> Workcell:
     """The workcell that is `written` in the file `path`. Raises as `open_workcell` does."""
     opened = _open(written, path)
-    identity = CameraIdentity(opened.camera.name, *opened.camera.size)
     try:
-        opened.use(_load(written.calibrations, path.parent, identity))
+        opened.use(_load(written.calibrations, path.parent, opened.calibrated_camera))
     except BaggieError:
         opened.close()
         raise

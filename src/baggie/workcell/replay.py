@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NoReturn
 
+from baggie.calibration.files import CameraIdentity
 from baggie.errors import BaggieError, CameraError, ReachError
 from baggie.geometry import ToolPose
 from baggie.robot.arm import ArmInfo
@@ -90,10 +91,25 @@ class ReplayWorkcell(Workcell):
     is at hand.
     """
 
-    def __init__(self, attempts: Sequence[Attempt], settings: WorkcellSettings | None = None) -> None:
-        """`attempts`: a `Dataset`, or any others. Raises `BaggieError` where there are none."""
+    def __init__(
+        self,
+        attempts: Sequence[Attempt],
+        settings: WorkcellSettings | None = None,
+        taken_by: CameraIdentity | None = None,
+    ) -> None:
+        """`attempts`: a `Dataset`, or any others. `taken_by`: the camera, where it is known (`Dataset.camera`).
+
+        Calibrations of that camera are good for its pictures, which may have been resized for recording. Raises
+        `BaggieError` where there are no attempts.
+        """
         self._replayed = ReplayCamera(attempts)
+        self._taken_by = taken_by
         super().__init__(ReplayArm(), self._replayed, settings or WorkcellSettings(name="replay"))
+
+    @property
+    def calibrated_camera(self) -> CameraIdentity:
+        """The camera that took the pictures, at its own size, where it is known."""
+        return self._taken_by or super().calibrated_camera
 
     @property
     def attempt(self) -> Attempt:

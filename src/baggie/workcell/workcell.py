@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.intrinsics.camera_calibration import CameraCalibration
 from baggie.calibration.robot_to_world import CameraToRobot
@@ -266,11 +267,16 @@ class Workcell:
         """Collect frames `(H, W, 3)` of the arm at work while open; none where nobody films it."""
         yield []
 
+    @property
+    def calibrated_camera(self) -> CameraIdentity:
+        """The camera that calibrations have to be of."""
+        return CameraIdentity(self.camera.name, *self.camera.size)
+
     def use(self, calibrations: Calibrations) -> None:
         """Take calibrations of this camera into use; its pictures say how its lens sees from now on."""
         self.calibrations = calibrations
         if calibrations.intrinsics is not None:
-            self.camera.intrinsics = calibrations.intrinsics.intrinsics
+            self.camera.intrinsics = calibrations.intrinsics.intrinsics.scaled(*self.camera.size)
 
     def look(self) -> Observation:
         """Move the arm out of view and take a picture.

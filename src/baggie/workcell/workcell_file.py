@@ -201,7 +201,8 @@ class ReplayEntry(CellEntry):
         from baggie.data import open_dataset  # noqa: PLC0415 -- pyarrow takes its time
         from baggie.workcell.replay import ReplayWorkcell  # noqa: PLC0415
 
-        return ReplayWorkcell(open_dataset(folder / self.recording), settings)
+        recording = open_dataset(folder / self.recording)
+        return ReplayWorkcell(recording, settings, recording.camera)
 
 
 class SimulatedCameraEntry(CameraEntry):
