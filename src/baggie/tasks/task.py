@@ -101,6 +101,10 @@ class Task:
     """Whether a policy is given a goal in the picture; else the conditions say where things go."""
     depth: bool = False
     """Whether the camera's depth is recorded with its pictures."""
+    workspace: Rectangle = WORKSPACE
+    """Where a hand picks and places in its scenes unless a workcell's file says otherwise; a cup goes all over the
+    table. Robot base frame, metres.
+    """
 
     def __post_init__(self) -> None:
         if not any(thing.movable for thing in self.things):
@@ -122,4 +126,4 @@ class Task:
 
     def draw(self, rng: np.random.Generator, setting: Setting | None = None) -> Scene:
         """A scene, drawn from a stream; of cell 0 with nothing varied unless a setting is given."""
-        return self.draw_scene(rng, setting or Setting(self.things))
+        return self.draw_scene(rng, setting or Setting(self.things, workspace=self.workspace))
