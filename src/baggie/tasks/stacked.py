@@ -152,7 +152,7 @@ class Stacked:
         lies = state.places[bag]
         turn = wrap_angle(lies.yaw - to.yaw, 2 * np.pi / self.symmetry) if self.symmetry else 0.0
         return PickPlace(
-            replace(lies, yaw=wrap_angle(to.yaw + turn)),
+            replace(lies, yaw=to.yaw + turn),
             to,
             pick_on_m=height_below(state, lies.x, lies.y, bag),
             place_on_m=height_below(state, to.x, to.y, bag),

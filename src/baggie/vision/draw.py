@@ -110,8 +110,8 @@ def _coverage(corners: FloatArray, size: tuple[int, int], line: float | None) ->
     return mask
 
 
-_LOWEST_LAYER, _HIGHEST_LAYER = np.array([20, 70, 200]), np.array([250, 215, 60])
-"""RGB, between which the layers of a pattern are shaded: dark blue below, yellow on top."""
+_LOWEST_LAYER, _HIGHEST_LAYER = np.array([110, 20, 150]), np.array([255, 220, 60])
+"""RGB, between which the layers of a pattern are shaded: purple below, yellow on top."""
 _LAYER_COVERS = 0.35
 """How much of the picture a layer hides."""
 
