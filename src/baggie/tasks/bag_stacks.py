@@ -24,6 +24,10 @@ and the camera of every cell sees bags at its edge whole.
 """
 SPARE_STEPS = 3
 """Picks and places of an episode, beside one a bag: for what has to be laid anew."""
+_SYMMETRY = 2
+"""Half a turn comes to the same, and not a quarter, by which a bag looks the same, too: across a row the hand's fingers
+have to open, so that a bag bridges the gap below it.
+"""
 _HUES = (358, 50, 210, 272, 25, 175, 90, 240)
 """Degrees: of bags by their number, well apart and none of them the goal card's or the paddle's."""
 _SITE_GAP_M, _GAP_M = 0.02, 0.004
@@ -156,7 +160,7 @@ BAG_TOWER = Task(
     things=colored_bags(len(_TOWER.slots)),
     draw_scene=partial(_draw, _TOWER),
     max_steps=len(_TOWER.slots) + SPARE_STEPS,
-    object_symmetry=2,
+    object_symmetry=_SYMMETRY,
     workspace=WORKSPACE,
 )
 BAG_PYRAMID = Task(
@@ -167,7 +171,7 @@ BAG_PYRAMID = Task(
     things=colored_bags(len(_PYRAMID.slots)),
     draw_scene=partial(_draw, _PYRAMID),
     max_steps=len(_PYRAMID.slots) + SPARE_STEPS,
-    object_symmetry=2,
+    object_symmetry=_SYMMETRY,
     workspace=WORKSPACE,
 )
 BAG_LAYERS = Task(
@@ -178,9 +182,6 @@ BAG_LAYERS = Task(
     things=colored_bags(len(_LAYERS.slots)),
     draw_scene=partial(_draw, _LAYERS),
     max_steps=len(_LAYERS.slots) + SPARE_STEPS,
-    object_symmetry=2,
+    object_symmetry=_SYMMETRY,
     workspace=WORKSPACE,
 )
-"""A bag looks the same four times a turn, but not the hand that lays it: which way its fingers open decides whether it
-bridges a gap, so yaws come to the same half a turn apart only.
-"""
