@@ -52,26 +52,26 @@ def lay_about(
     """
     side = max(max(bag.size_m[:2]) for bag in bags)
     half = min(min(bag.size_m[:2]) for bag in bags) / 2
-    # A bag whose outline is in this area has its middle in the workspace.
-    low, high = (
-        np.array([workspace.x_min, workspace.y_min]) - half,
-        np.array([workspace.x_max, workspace.y_max]) + half,
-    )
-    span = high - low
+    # What has its outline between these corners has its middle in the workspace.
+    low = np.array([workspace.x_min, workspace.y_min]) - half
+    high = np.array([workspace.x_max, workspace.y_max]) + half
+    length, whole = (high - low).tolist()
 
     def turned() -> tuple[float, FloatArray]:
+        """A yaw of the pattern, and the corners `(2, 2)` of the box along x and y that holds it then."""
         yaw = float(rng.uniform(-math.pi, math.pi))
-        corners = pattern.at(PlanarPose(0.0, 0.0, yaw)).outlines(side, side)[..., :2].reshape(-1, 2)
-        return yaw, np.array([corners.min(axis=0), corners.max(axis=0)])
+        outlines = pattern.at(PlanarPose(0.0, 0.0, yaw)).outlines(side, side)[..., :2]
+        return yaw, np.array([outlines.min(axis=(0, 1)), outlines.max(axis=(0, 1))])
 
-    def room(box: FloatArray) -> float:
-        """How long the rest of the area is, without the strip of the site."""
-        return float(span[1] - (box[1] - box[0])[1] - 2 * _SITE_GAP_M)
+    def rest_beside(box: FloatArray) -> float:
+        """How wide what is left is, both sides together."""
+        return float(whole - np.ptp(box[:, 1]) - 2 * _SITE_GAP_M)
 
     def fits(drawn: tuple[float, FloatArray]) -> bool:
         _, box = drawn
-        smallest = min(_cell(len(bags), span[0], room(box)))
-        return bool((box[1] - box[0])[0] <= span[0] and smallest >= side + _GAP_M)
+        rest = rest_beside(box)
+        rows, columns = _grid(len(bags), length, rest)
+        return bool(np.ptp(box[:, 0]) <= length and min(length / rows, rest / columns) >= side + _GAP_M)
 
     found = first_fit(turned, fits, _TRIES)
     if found is None:
@@ -80,38 +80,28 @@ def lay_about(
             f"{workspace}; make it larger, or take a smaller pattern"
         )
     yaw, box = found
-    rest = room(box)
-    rows, columns = (
-        round(total / each)
-        for total, each in zip((span[0], rest), _cell(len(bags), span[0], rest), strict=True)
-    )
+    rest = rest_beside(box)
+    rows, columns = _grid(len(bags), length, rest)
     on_right = int(rng.integers(columns + 1))
-    # No column need be longer than a bag at any yaw: the site lies anywhere that leaves each so much.
+    # No column need be wider than a bag at any yaw is: the site lies anywhere that leaves each so much.
     least = min(rest / columns, side * math.sqrt(2) + _GAP_M)
     right = on_right * least + float(rng.uniform(0.0, max(rest - columns * least, 0.0)))
-    site = PlanarPose(
-        float(rng.uniform(low[0] - box[0, 0], high[0] - box[1, 0])),
-        float(low[1] + right + _SITE_GAP_M - box[0, 1]),
-        yaw,
-    )
-    edges = [
-        *_edges(low[1], low[1] + right, on_right),
-        *_edges(high[1] - (rest - right), high[1], columns - on_right),
-    ]
+    x, y = rng.uniform(low[0] - box[0, 0], high[0] - box[1, 0]), low[1] + right + _SITE_GAP_M - box[0, 1]
+    left_edges = _edges(high[1] - (rest - right), high[1], columns - on_right)
     cells = [
-        Rectangle(float(x0), float(x1), y0, y1)
-        for x0, x1 in _edges(low[0], high[0], rows)
-        for y0, y1 in edges
+        Rectangle(*along_x, *along_y)
+        for along_x in _edges(low[0], high[0], rows)
+        for along_y in [*_edges(low[1], low[1] + right, on_right), *left_edges]
     ]
     chosen = rng.permutation(len(cells))[: len(bags)]
     poses = {bag.name: _within(cells[cell], bag, rng) for bag, cell in zip(bags, chosen, strict=True)}
-    return poses, site
+    return poses, PlanarPose(float(x), float(y), yaw)
 
 
-def _cell(count: int, length: float, width: float) -> tuple[float, float]:
-    """The sides of the cells of a grid over `length` by `width`, at least `count` of them, none of them narrow."""
-    grids = [(length / rows, width / math.ceil(count / rows)) for rows in range(1, count + 1)]
-    return max(grids, key=min)
+def _grid(count: int, length: float, width: float) -> tuple[int, int]:
+    """Rows and columns of at least `count` cells in `length` by `width`, their shorter sides as long as can be."""
+    grids = [(rows, math.ceil(count / rows)) for rows in range(1, count + 1)]
+    return max(grids, key=lambda grid: min(length / grid[0], width / grid[1]))
 
 
 def _edges(start: float, end: float, count: int) -> list[tuple[float, float]]:
