@@ -18,7 +18,7 @@ import tyro
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.calibrate import calibrate
-from baggie.evaluation.goals import draw_goal
+from baggie.evaluation.episode import draw_goal
 from baggie.geometry import PlanarPose
 from baggie.options.values import Scenery
 from baggie.results import provenance, write_results

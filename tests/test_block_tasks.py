@@ -43,7 +43,7 @@ def test_a_scene_is_its_seeds(task: Task, seed: int) -> None:
 def test_a_scene_is_of_cell_0_unless_another_is_given(task: Task) -> None:
     expect_same(
         task.draw(np.random.default_rng(3)),
-        task.draw(np.random.default_rng(3), Setting(task.things, draw_cell(0))),
+        task.draw(np.random.default_rng(3), Setting(task.things, draw_cell(0), task.workspace)),
     )
 
 

@@ -125,6 +125,6 @@ def test_what_may_have_been_cut_short_is_shown_again() -> None:
 def test_blocks_have_a_cell_of_their_own(tmp_path: Path) -> None:
     with pytest.raises(BaggieError, match="neither --scenery nor --workcell"):
         collect(options(tmp_path / "x", scenery="varied"))
-    with pytest.raises(BaggieError, match="a task among bag-place, block-pyramid"):
+    with pytest.raises(BaggieError, match=r"a task among bag-place, .*block-pyramid"):
         collect(CollectOptions(tmp_path / "x", task="juggle"))
     assert not (tmp_path / "x").exists()

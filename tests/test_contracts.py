@@ -51,7 +51,13 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("name", TASKS.names())
+LONG = ("bag-pyramid", "bag-layers")
+"""Of many bags, each of which takes its seconds."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in TASKS.names()]
+)
 def test_every_task_keeps_its_contract(name: str, tmp_path: Path) -> None:
     assert TASKS[name].name == name
     check_task(TASKS[name], tmp_path / "recording")

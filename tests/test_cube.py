@@ -12,12 +12,12 @@ import baggie
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect import CollectOptions, collect
+from baggie.collect.machine import detect
 from baggie.commissioning.image_to_robot import grid
 from baggie.data import open_dataset
 from baggie.evaluation.closed_loop import EvaluateOptions, evaluate
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.types import PickPlace
-from baggie.workcell.by_color import detect
 from baggie.workcell.workcell import at_outline
 from helpers import cube_world
 from helpers.streaming import Here

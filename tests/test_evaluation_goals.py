@@ -16,7 +16,7 @@ from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.machine import MIN_DISTANCE_M
 from baggie.errors import BaggieError, DataError, UnsureError
-from baggie.evaluation.goals import CLEARANCE_M, CLICK_M, draw_goal, goal_in
+from baggie.evaluation.episode import CLEARANCE_M, CLICK_M, draw_goal, goal_in
 from baggie.evaluation.log import read_episodes
 from baggie.evaluation.setup import Setup, card_map
 from baggie.geometry import PlanarPose, Rectangle

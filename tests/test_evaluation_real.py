@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from baggie.collect.calibrate import calibrate
+from baggie.collect.machine import detect
 from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import terms as module
 from baggie.evaluation.closed_loop import EvaluateOptions
@@ -23,7 +24,6 @@ from baggie.policies.keypoint.policy import KeypointNet
 from baggie.policies.planning import View
 from baggie.report.report import report
 from baggie.types import Outcome
-from baggie.workcell.by_color import detect
 from baggie.workcell.workcell import Calibrations, WorkcellSettings, at_outline
 from helpers import bag_evaluations as simulated
 from helpers.bag_evaluations import evaluate_here

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.collect.calibrate import calibrate
+from baggie.collect.machine import detect
 from baggie.errors import DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.policies.keypoint import heads as phase
@@ -24,7 +25,6 @@ from baggie.policies.keypoint.heads import (
 from baggie.policies.planning import CELLS_TO_INPUT, GoalInput, Reading, View, keypoint_plan, place_yaw
 from baggie.sim.variety import BAGS_M
 from baggie.types import Goal, Observation
-from baggie.workcell.by_color import detect
 from baggie.workcell.workcell import WorkcellSettings
 from helpers import fake_workcell
 from helpers.synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels

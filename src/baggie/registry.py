@@ -166,6 +166,9 @@ TASKS: Registry[Task] = Registry(
     "baggie.tasks",
     {
         "bag-place": "baggie.tasks.bag_place:BAG_PLACE",
+        "bag-tower": "baggie.tasks.bag_stacks:BAG_TOWER",
+        "bag-pyramid": "baggie.tasks.bag_stacks:BAG_PYRAMID",
+        "bag-layers": "baggie.tasks.bag_stacks:BAG_LAYERS",
         "block-pyramid": "baggie.tasks.block_pyramid:BLOCK_PYRAMID",
         "place-red-in-green": "baggie.tasks.place_red_in_green:PLACE_RED_IN_GREEN",
         "align-box-corner": "baggie.tasks.align_box_corner:ALIGN_BOX_CORNER",
@@ -173,7 +176,7 @@ TASKS: Registry[Task] = Registry(
     },
     "task",
 )
-"""What has to be done: a new one is one file and one line here, or an entry point of another package."""
+"""What has to be done: a new one is a file and a line here, or an entry point of another package."""
 
 ARMS: Registry[type[ArmEntry]] = Registry(
     "baggie.arms",

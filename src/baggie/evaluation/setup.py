@@ -12,6 +12,7 @@ from typing import Any
 from baggie.calibration.files import MAP_FILE, REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.collect.calibrate import calibrate_into
+from baggie.collect.machine import detect
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
@@ -25,7 +26,6 @@ from baggie.policies.exported import ExportedPolicy
 from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
 from baggie.types import Goal, Observation, Plan
-from baggie.workcell.by_color import detect
 from baggie.workcell.workcell import Watch, Workcell, at_outline
 
 _BY_CAMERA, _FROM_ABOVE = ("keypoint", "regression", ColorMaskPolicy.name), "transporter"

@@ -98,7 +98,7 @@ class CollectOptions(Options):
             )
 
         if not self.demonstrated and self.style != "plain":
-            shown = [name for name, task in TASKS.all().items() if not task.has_goal]
+            shown = [name for name, each in TASKS.all().items() if not each.has_goal and each.tool == "cup"]
             raise UsageError(
                 f"expected no --style with --task {self.task}, which nobody demonstrates, got {self.style}; leave it "
                 f"out, or take a task among {', '.join(shown)}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, Self
 
 import numpy as np
@@ -38,10 +38,12 @@ class State:
     """By name, where each thing's middle is above the table, and which way its x axis points."""
     obstacles: tuple[PlanarPose, ...] = ()
     """Where other things stand, which a hand or a bag can run into."""
+    points: Mapping[str, FloatArray] = field(default_factory=dict)
+    """By name, `(P, 3)` metres: points on the surface of what is soft."""
 
     @classmethod
     def of(cls, poses: Poses) -> Self:
-        """The state in which things are at these poses, and nothing stands about."""
+        """The state in which things are at these poses, none of them soft, and nothing stands about."""
         return cls(poses, {name: planar_pose(T) for name, T in poses.items()})
 
 

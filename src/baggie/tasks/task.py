@@ -17,7 +17,7 @@ from baggie.robot.limits import WORKSPACE
 from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.objects import Block, Fixture, SceneObject
 from baggie.sim.variety import Variety
-from baggie.tasks.conditions import AtGoal, Condition, InSlots, State, Tool
+from baggie.tasks.conditions import AtGoal, Condition, State, Tool
 from baggie.types import PickPlace
 
 
@@ -103,6 +103,10 @@ class Task:
     """Whether a policy is given a goal in the picture; else the conditions say where things go."""
     depth: bool = False
     """Whether the camera's depth is recorded with its pictures."""
+    workspace: Rectangle = WORKSPACE
+    """Where a hand picks and places in its scenes unless a workcell's file says otherwise; a cup goes all over the
+    table. Robot base frame, metres.
+    """
 
     def __post_init__(self) -> None:
         if not any(thing.movable for thing in self.things):
@@ -128,10 +132,10 @@ class Task:
         Raises `BaggieError`, as its conditions then do, where code of the task's own raises anything.
         """
         with _naming("draw_scene", self.name):
-            scene = self.draw_scene(rng, setting or Setting(self.things))
-            known = (InSlots, AtGoal)
+            scene = self.draw_scene(rng, setting or Setting(self.things, workspace=self.workspace))
             conditions = (
-                each if isinstance(each, known) else _Own(each, self.name) for each in scene.conditions
+                each if type(each).__module__.startswith("baggie.") else _Own(each, self.name)
+                for each in scene.conditions
             )
             return replace(scene, conditions=tuple(conditions))
 

@@ -1,6 +1,8 @@
-"""Draws goals into pictures."""
+"""Draws goals, and patterns of stacked bags, into pictures."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -24,6 +26,8 @@ _INPAINT_PX = 3.0
 
 _PICTURE_TO_LINE = 160
 """An outline is 1/160 of the picture's width thick: 4 pixels at 640, 8 at 1280."""
+_PICTURE_TO_NUMBER, _NUMBER_PX = 1280, 16
+"""The width of a picture in which a number is so many pixels high."""
 
 
 def check_goal(goal: Goal, size: tuple[int, int]) -> None:
@@ -104,3 +108,44 @@ def _coverage(corners: FloatArray, size: tuple[int, int], line: float | None) ->
     averaged = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
     mask[low[1] : high[1], low[0] : high[0]] = averaged
     return mask
+
+
+_LOWEST_LAYER, _HIGHEST_LAYER = np.array([110, 20, 150]), np.array([255, 220, 60])
+"""RGB, between which the layers of a pattern are shaded: purple below, yellow on top."""
+_LAYER_COVERS = 0.35
+"""How much of the picture a layer hides."""
+
+
+def paint_layers(image: Image, outlines: FloatArray, layers: Sequence[int]) -> Image:
+    """A copy of the picture `(H, W, 3)` with outlines `(N, 4, 2)` (u, v) drawn in it, numbered in their order from 1.
+
+    `layers`: of each, from 0 on, by which they are shaded. Parts outside the picture are cut off.
+    """
+    height, width = image.shape[:2]
+    painted, thickness = image.astype(np.float32), max(1.0, width / _PICTURE_TO_LINE)
+    shades = [
+        (_LOWEST_LAYER + (_HIGHEST_LAYER - _LOWEST_LAYER) * layer / max(*layers, 1)).astype(np.float32)
+        for layer in layers
+    ]
+    for corners, shade in zip(outlines, shades, strict=True):
+        filled = _LAYER_COVERS * region_mask(corners, (width, height))
+        cover = np.maximum(filled, _coverage(corners, (width, height), thickness))[..., None] / 255
+        painted = painted * (1 - cover) + shade * cover
+    numbered = painted.round().astype(np.uint8)
+    scale, middles = width / _PICTURE_TO_NUMBER, np.mean(outlines, axis=1)
+    for number, middle in enumerate(middles, start=1):
+        # Of what stands straight on others the number is above theirs.
+        below = np.linalg.norm(middles[: number - 1] - middle, axis=1) < _NUMBER_PX * scale
+        u, v = middle + np.array([-0.5, 0.5 - 1.5 * below.sum()]) * _NUMBER_PX * scale
+        for color, weight in (((0, 0, 0), 4), ((255, 255, 255), 2)):
+            cv2.putText(
+                numbered,
+                str(number),
+                (round(u), round(v)),
+                cv2.FONT_HERSHEY_SIMPLEX,
+                0.8 * scale,
+                color,
+                max(1, round(weight * scale)),
+                cv2.LINE_AA,
+            )
+    return numbered

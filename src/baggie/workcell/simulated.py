@@ -16,7 +16,7 @@ from baggie.registry import TASKS
 from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
-from baggie.sim.bag import Bag
+from baggie.sim.bag import Bag, SoftBody
 from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.objects import SceneObject
 from baggie.sim.renderer import Film
@@ -145,8 +145,8 @@ class SimulatedWorkcell(Workcell):
         return self.world.time
 
     def wait(self, seconds: float) -> None:
-        """Let simulated time pass."""
-        self.world.advance(seconds)
+        """Let simulated time pass in which nothing sleeps: what stands then stands by itself."""
+        self.world.advance_awake(seconds)
 
     @contextmanager
     def film(self, size: tuple[int, int] = (640, 480), fps: float = 20.0) -> Iterator[list[Image]]:
@@ -168,6 +168,7 @@ class SimulatedWorkcell(Workcell):
             world.poses(),
             {name: world.planar_pose(name) for name in world.bodies},
             tuple(thing.pose for thing in world.distractors if thing.standing),
+            {name: body.points for name, body in world.bodies.items() if isinstance(body, SoftBody)},
         )
 
     def truth(self) -> PlanarPose:
@@ -270,9 +271,13 @@ class SimulatedWorkcell(Workcell):
 def _settings(task: Task, things: Sequence[SceneObject], cell: int) -> WorkcellSettings:
     """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
     if task.tool == "hand":
-        settings = WorkcellSettings(name=f"sim cell {cell}", handling=SIMULATED_HANDLING)
+        settings = WorkcellSettings(
+            name=f"sim cell {cell}", workspace=task.workspace, handling=SIMULATED_HANDLING
+        )
         bags = [thing for thing in things if isinstance(thing, Bag)]
-        return _describing(bags[0], settings) if bags else settings
+        described = _describing(bags[0], settings) if bags else settings
+        # Where the task itself says where things go, it says by which yaws of the hand, too.
+        return described if task.has_goal else replace(described, object_symmetry=task.object_symmetry)
     largest = max(task.blocks, key=lambda block: block.size_m)
     return WorkcellSettings(
         name=f"sim cell {cell}, {task.name}",

@@ -1,0 +1,177 @@
+"""Loose bags are stacked in a pattern at a site: `bag-tower`, `bag-pyramid` and `bag-layers`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.seeds import first_fit
+from baggie.sim.bag import Bag
+from baggie.sim.cell import Color, rgb
+from baggie.tasks.pattern import Pattern
+from baggie.tasks.stacked import Stacked
+from baggie.tasks.task import Scene, Setting, Task
+
+WORKSPACE = Rectangle(0.29, 0.68, -0.36, 0.36)
+"""Where bags are stacked: 3 by 4 bags side by side. The arm reaches all of it up to 35 cm above the table at any yaw,
+and the camera of every cell sees bags at its edge whole.
+"""
+SPARE_STEPS = 3
+"""Picks and places of an episode, beside one a bag: for what has to be laid anew."""
+_SYMMETRY = 2
+"""Half a turn comes to the same, and not a quarter, by which a bag looks the same, too: across a row the hand's fingers
+have to open, so that a bag bridges the gap below it.
+"""
+_HUES = (358, 50, 210, 272, 25, 175, 90, 240)
+"""Degrees: of bags by their number, well apart and none of them the goal card's or the paddle's."""
+_SITE_GAP_M, _GAP_M = 0.02, 0.004
+"""Between a pattern and what lies about it, and between two loose bags."""
+_TRIES = 200
+
+
+def colored_bags(count: int, one_color: bool = False) -> tuple[Bag, ...]:
+    """So many bags, each of a colour of its own or all of one."""
+    colors: list[Color] = [rgb(hue, 0.8, 0.78) for hue in _HUES]
+    return tuple(Bag(name=f"bag {n + 1}", color=colors[0 if one_color else n]) for n in range(count))
+
+
+def lay_about(
+    bags: Sequence[Bag], pattern: Pattern, workspace: Rectangle, rng: np.random.Generator
+) -> tuple[dict[str, PlanarPose], PlanarPose]:
+    """Poses of loose bags, by name, and a site for a pattern, its own frame's pose; none overlap, at any height.
+
+    The site, turned anyhow, has a strip across the workspace to itself. Each bag lies wholly in a cell of its own, of a
+    grid over what is left on either side, so this ends after as many draws whatever comes. All middles are in the
+    workspace. Raises `BaggieError` where it is too small.
+    """
+    side = max(max(bag.size_m[:2]) for bag in bags)
+    half = min(min(bag.size_m[:2]) for bag in bags) / 2
+    # What has its outline between these corners has its middle in the workspace.
+    low = np.array([workspace.x_min, workspace.y_min]) - half
+    high = np.array([workspace.x_max, workspace.y_max]) + half
+    length, whole = (high - low).tolist()
+
+    def turned() -> tuple[float, FloatArray]:
+        """A yaw of the pattern, and the corners `(2, 2)` of the box along x and y that holds it then."""
+        yaw = float(rng.uniform(-math.pi, math.pi))
+        outlines = pattern.at(PlanarPose(0.0, 0.0, yaw)).outlines(side, side)[..., :2]
+        return yaw, np.array([outlines.min(axis=(0, 1)), outlines.max(axis=(0, 1))])
+
+    def rest_beside(box: FloatArray) -> float:
+        """How wide what is left is, both sides together."""
+        return float(whole - np.ptp(box[:, 1]) - 2 * _SITE_GAP_M)
+
+    def fits(drawn: tuple[float, FloatArray]) -> bool:
+        _, box = drawn
+        rest = rest_beside(box)
+        rows, columns = _grid(len(bags), length, rest)
+        return bool(np.ptp(box[:, 0]) <= length and min(length / rows, rest / columns) >= side + _GAP_M)
+
+    found = first_fit(turned, fits, _TRIES)
+    if found is None:
+        raise BaggieError(
+            f"expected a workspace with room for {len(bags)} bags of {100 * side:.0f} cm beside their pattern, got "
+            f"{workspace}; make it larger, or take a smaller pattern"
+        )
+    yaw, box = found
+    rest = rest_beside(box)
+    rows, columns = _grid(len(bags), length, rest)
+    on_right = int(rng.integers(columns + 1))
+    # No column need be wider than a bag at any yaw is: the site lies anywhere that leaves each so much.
+    least = min(rest / columns, side * math.sqrt(2) + _GAP_M)
+    right = on_right * least + float(rng.uniform(0.0, max(rest - columns * least, 0.0)))
+    x, y = rng.uniform(low[0] - box[0, 0], high[0] - box[1, 0]), low[1] + right + _SITE_GAP_M - box[0, 1]
+    left_edges = _edges(high[1] - (rest - right), high[1], columns - on_right)
+    cells = [
+        Rectangle(*along_x, *along_y)
+        for along_x in _edges(low[0], high[0], rows)
+        for along_y in [*_edges(low[1], low[1] + right, on_right), *left_edges]
+    ]
+    chosen = rng.permutation(len(cells))[: len(bags)]
+    poses = {bag.name: _within(cells[cell], bag, rng) for bag, cell in zip(bags, chosen, strict=True)}
+    return poses, PlanarPose(float(x), float(y), yaw)
+
+
+def _grid(count: int, length: float, width: float) -> tuple[int, int]:
+    """Rows and columns of at least `count` cells in `length` by `width`, their shorter sides as long as can be."""
+    grids = [(rows, math.ceil(count / rows)) for rows in range(1, count + 1)]
+    return max(grids, key=lambda grid: min(length / grid[0], width / grid[1]))
+
+
+def _edges(start: float, end: float, count: int) -> list[tuple[float, float]]:
+    """From where to where each of `count` equal parts of a stretch goes."""
+    ends = np.linspace(start, end, count + 1).tolist()
+    return list(pairwise(ends)) if count else []
+
+
+def _within(cell: Rectangle, bag: Bag, rng: np.random.Generator) -> PlanarPose:
+    """A pose of a bag that lies wholly in a cell, turned as far as there is room for."""
+    room = np.array([cell.x_max - cell.x_min, cell.y_max - cell.y_min]) - _GAP_M
+
+    def extent(yaw: float) -> FloatArray:
+        return np.asarray(np.ptp(PlanarPose(0.0, 0.0, yaw).outline(*bag.size_m[:2]), axis=0))
+
+    yaw = first_fit(
+        lambda: float(rng.uniform(-math.pi, math.pi)), lambda yaw: bool((extent(yaw) <= room).all()), _TRIES
+    )
+    yaw = 0.0 if yaw is None else yaw
+    middle = np.array([cell.x_max + cell.x_min, cell.y_max + cell.y_min]) / 2
+    play = (room - extent(yaw)) / 2
+    x, y = middle + rng.uniform(-play, play)
+    return PlanarPose(float(x), float(y), yaw)
+
+
+def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene:
+    bags = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    poses, site = lay_about(bags, pattern, setting.workspace, rng)
+    stacked = Stacked(
+        tuple(bag.name for bag in bags),
+        pattern.at(site),
+        setting.workspace,
+        bags[0].symmetry,
+        bags[0].fill,
+    )
+    return Scene(bags, poses, (stacked,))
+
+
+_TOWER, _PYRAMID, _LAYERS = map(Pattern.parse, ("tower:3", "pyramid:3-2-1", "layers:2x2,2x2 turned"))
+
+BAG_TOWER = Task(
+    name="bag-tower",
+    instruction="Stack three bean bags into a tower.",
+    tool="hand",
+    view="camera",
+    things=colored_bags(len(_TOWER.slots)),
+    draw_scene=partial(_draw, _TOWER),
+    max_steps=len(_TOWER.slots) + SPARE_STEPS,
+    object_symmetry=_SYMMETRY,
+    workspace=WORKSPACE,
+)
+BAG_PYRAMID = Task(
+    name="bag-pyramid",
+    instruction="Stack six bean bags into a pyramid: three in a row below, two on them, one on top.",
+    tool="hand",
+    view="camera",
+    things=colored_bags(len(_PYRAMID.slots)),
+    draw_scene=partial(_draw, _PYRAMID),
+    max_steps=len(_PYRAMID.slots) + SPARE_STEPS,
+    object_symmetry=_SYMMETRY,
+    workspace=WORKSPACE,
+)
+BAG_LAYERS = Task(
+    name="bag-layers",
+    instruction="Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
+    tool="hand",
+    view="camera",
+    things=colored_bags(len(_LAYERS.slots)),
+    draw_scene=partial(_draw, _LAYERS),
+    max_steps=len(_LAYERS.slots) + SPARE_STEPS,
+    object_symmetry=_SYMMETRY,
+    workspace=WORKSPACE,
+)
