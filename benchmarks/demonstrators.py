@@ -7,18 +7,21 @@
 of demonstrations, each from demonstrations of its own; 100 unseen scenes each. `recordings`: one whole training on each
 imported recording in a folder, and of those with ten episodes that did their task ten more, each without one of them,
 whose steps are then planned. Each job is a process; what is there is not done again. Writes
-docs/results/demonstrators-NAME.{json,md}, one for each task or recording.
+docs/results/demonstrators-NAME.{json,md}, one for each task or recording; what each training on a recording came to is
+kept in docs/results/demonstrators-NAME.jsonl, so that a run of hours goes on where it was cut short.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import multiprocessing
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -56,13 +59,13 @@ IN_SIMULATOR = (
     "Each training has a seed and demonstrations of its own. Strict: every thing lies in a slot of its own when the "
     "episode ends, upright and so two seconds later; in brackets Wilson's 95% interval. Partial credit as Ravens "
     "counts. Asked is what each training has to reach. Scenes are the evaluation's own. The last checkpoint by rule. "
-    "Times are the wall clock's, with another training beside."
+    "Times are the wall clock's, with other work beside."
 )
 ON_RECORDINGS = (
     "Whole: a training on all episodes that did their task, to its end. Left out: as many trainings as there are such "
     "episodes, each without one, whose steps that earned something are planned. A plan counts where it picks a thing "
     "that the rest of its stage still moves, and takes it within 1 cm and 15 degrees of a free slot of that stage, as "
-    "the maps tell (docs/evaluating.md). Times are the wall clock's, with another training beside."
+    "the maps tell (docs/evaluating.md). Times are the wall clock's, with other work beside."
 )
 
 
@@ -143,9 +146,29 @@ def recordings(options: Options) -> None:
         numbers, rewards = dataset.episodes, dataset.numbers()["reward"]
         episodes = [each for each in sorted(set(numbers.tolist())) if did_its_task(rewards[numbers == each])]
         left_out = [None, *(episodes if len(episodes) == LEFT_OUT else ())]
-        rows = all_of(options, planned, [(options, folder, episode) for episode in left_out])
-        table = [rows[0] | {"left out": "nothing"}, *([summed(rows[1:])] if rows[1:] else [])]
+        kept = options.results / f"demonstrators-{name}.jsonl"
+        known = {row["left out"] for row in lines(kept)}
+        missing = [episode for episode in left_out if episode not in known]
+        all_of(options, planned, [(options, folder, episode) for episode in missing], partial(keep, kept))
+        rows = {row["left out"]: row | {"commit": row["commit"][:7]} for row in lines(kept)}
+        table = [rows[None] | {"left out": "nothing"}]
+        if left_out[1:]:
+            table.append(summed([rows[episode] for episode in left_out[1:]]))
         write(options, name, f"Taught by Ravens' demonstrator: {name}", table, ON_RECORDINGS)
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    """What each training on a recording came to, as far as it is known."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def keep(path: Path, row: dict[str, Any]) -> None:
+    """Add what a training came to, and of which commit it is."""
+    from baggie.results import provenance  # noqa: PLC0415 -- workers import this file
+
+    origin = provenance()
+    with path.open("a") as file:
+        file.write(json.dumps(row | {"commit": origin["commit"], "date": origin["date"]}) + "\n")
 
 
 def planned(options: Options, recording: Path, left_out: int | None) -> dict[str, Any]:
@@ -185,17 +208,22 @@ def summed(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
         if told:
             row[f"{name} counts"] = rate(success_rate(right, sum(each["n"] for each in told)))
     minutes = [part["trained in (min)"] for part in parts]
-    return row | {"trained in (min)": round(sum(minutes) / len(minutes), 1)}
+    row |= {"trained in (min)": round(sum(minutes) / len(minutes), 1)}
+    return row | {"commit": ", ".join(sorted({part["commit"] for part in parts}))}
 
 
 def all_of(
-    options: Options, do: Callable[..., dict[str, Any]], jobs: Sequence[tuple[Any, ...]]
+    options: Options,
+    do: Callable[..., dict[str, Any]],
+    jobs: Sequence[tuple[Any, ...]],
+    keep: Callable[[dict[str, Any]], None] = lambda _row: None,
 ) -> list[dict[str, Any]]:
-    """What each of the jobs found, in their order."""
+    """What each of the jobs found, in their order; it is kept as soon as it is known."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(options.jobs, context) as pool:
         futures = [pool.submit(do, *job) for job in jobs]
         for done, future in enumerate(as_completed(futures), 1):
+            keep(future.result())
             print(f"{done} of {len(jobs)}: {future.result()}", file=sys.stderr, flush=True)
     return [future.result() for future in futures]
 
