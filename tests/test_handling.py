@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 from dataclasses import asdict, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,7 +23,7 @@ from baggie.cameras.camera import Camera
 from baggie.cli.main import main
 from baggie.commissioning.check import _object_height_m
 from baggie.commissioning.doctor import examine
-from baggie.errors import BaggieError
+from baggie.errors import BaggieError, LimitError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.options.commissioning import CheckOptions, DoctorOptions
 from baggie.robot.arm import ArmInfo
@@ -198,6 +199,70 @@ def test_a_hand_that_closed_on_next_to_nothing_does_not_hold_a_cube() -> None:
     assert held.held
     assert held.pose.z == pytest.approx(0.0325)
     assert place(arm, PlanarPose(0.4, 0.0), h).held
+
+
+# on stacks
+
+
+class StackArm(RecordingArm):
+    """Feels as little as `feels_n`; its tool touches something at a height, and may sink in further."""
+
+    def __init__(self, top_z: float, feels_n: float = 0.1) -> None:
+        super().__init__()
+        self.info = replace(self.info, feels_n=feels_n)
+        self.top_z, self.forces = top_z, list[float]()
+
+    def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
+        self._floor = self.top_z if force_n < 5.0 else -math.inf
+        self.forces.append(force_n)
+        return super().lower_until_contact(z_min, speed_m_s, force_n)
+
+
+STACK = PickPlace(PlanarPose(0.5, 0.1), PlanarPose(0.45, -0.1))
+heights = st.floats(0.0, 0.15)
+
+
+@given(heights, heights, st.floats(0.0, 0.15))
+def test_the_hand_goes_as_low_as_follows_from_what_lies_there_and_passes_over_the_rest(
+    pick_on: float, place_on: float, tallest: float
+) -> None:
+    arm, h = RecordingArm(), Handling()
+    cell = TimelessCell(arm, cast(Camera, None), WorkcellSettings())
+    outcome = cell.execute(replace(STACK, pick_on_m=pick_on, place_on_m=place_on, tallest_m=tallest))
+    assert outcome.pick_z_m == pytest.approx(pick_on + h.pick_z_m)
+    assert outcome.place_z_m == pytest.approx(place_on + h.place_z_m)
+    start = arm.poses.index(outcome.executed.pick.at_height(outcome.pick_z_m))
+    aside = [
+        (here, there) for here, there in pairwise(arm.poses[start:]) if (here.x, here.y) != (there.x, there.y)
+    ]
+    assert aside
+    over = max(place_on, tallest)
+    assert all(min(here.z, there.z) >= over + h.travel_z_m - 0.01 for here, there in aside)
+
+
+def test_an_action_that_says_nothing_of_heights_is_for_the_table() -> None:
+    plain, said = RecordingArm(), RecordingArm()
+    for arm, action in ((plain, STACK), (said, replace(STACK, pick_on_m=0.0, place_on_m=0.0, tallest_m=0.0))):
+        TimelessCell(arm, cast(Camera, None), WorkcellSettings()).execute(action)
+    assert plain.poses == said.poses
+
+
+@given(st.floats(0.05, 0.15))
+def test_where_nobody_knows_how_high_a_soft_thing_lies_it_is_felt_for(top: float) -> None:
+    arm, h = StackArm(top), Handling()
+    assert pick(arm, STACK.pick, h, None).pose.z == pytest.approx(max(top - h.sink_m, h.pick_z_m))
+    assert place(arm, STACK.place, h, None).pose.z == pytest.approx(max(top - h.press_m, h.place_z_m))
+    assert arm.forces == [h.top_force_n, h.touch_force_n, h.stand_force_n, h.land_force_n]
+
+
+def test_an_arm_that_feels_too_little_says_so_and_does_not_come_down() -> None:
+    arm = StackArm(0.05, feels_n=2.0)
+    cell = TimelessCell(arm, cast(Camera, None), WorkcellSettings())
+    with pytest.raises(
+        LimitError, match=r"expected an arm that feels 0\.7 N.*which feels 2 N; say the height"
+    ):
+        cell.execute(replace(STACK, pick_on_m=None))
+    assert not arm.forces
 
 
 # in a workcell file

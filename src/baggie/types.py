@@ -239,15 +239,18 @@ def require_goal(goal: Goal | None) -> Goal:
 class PickPlace:
     """The action: where to grasp and where to let go, in the robot's base frame.
 
-    How high that is follows from what lies there: the table, or a stack of known height; else touch finds it.
+    How low the hand goes follows from what lies there; it stops before where it feels something.
     """
 
     pick: PlanarPose
     place: PlanarPose
     pick_on_m: float | None = 0.0
-    """Height above the table of what the thing to be picked lies on, metres: 0 the table; None where nobody knows."""
+    """Height above the table, metres, of what the thing to be picked lies on; None where nobody knows: then the thing
+    is felt for, which takes an arm that feels as little as a soft thing gives (`ArmInfo.feels_n`)."""
     place_on_m: float | None = 0.0
     """The same of what it shall be placed on."""
+    tallest_m: float = 0.0
+    """Height of the tallest stack on the table, metres, that the hand and what it carries have to pass over."""
 
     def carry(self, pose: PlanarPose) -> PlanarPose:
         """Where a thing comes to lie that is at `pose` and moves with the hand from the pick to the place."""

@@ -35,6 +35,8 @@ class ArmInfo:
     """The hardest the gripper may squeeze."""
     tool_symmetry: int = 2
     """How often a turn the tool looks the same: 2 for two fingers; 0 for a round cup, which does at any angle."""
+    feels_n: float = 5.0
+    """The least force on its tool that the arm tells from none while it moves."""
 
 
 @runtime_checkable

@@ -120,7 +120,7 @@ def _bounds(limits: Limits, arm: ArmInfo | None) -> Iterator[tuple[str, float, f
         yield name, 0.0, limits.max_speed_m_s, "the limits"
         if arm is not None:
             yield name, 0.0, arm.max_speed_m_s, "the arm"
-    for name in ("touch_force_n", "land_force_n"):
+    for name in ("touch_force_n", "land_force_n", "top_force_n", "stand_force_n"):
         yield name, 0.0, limits.max_contact_force_n, "the limits"
     yield "grasp_force_n", 0.0, limits.max_grasp_force_n, "the limits"
     if arm is not None:
@@ -157,6 +157,8 @@ def _beyond_limits(handling: Handling, limits: Limits) -> Iterator[str]:
         ("carry_m_s", limits.max_speed_m_s),
         ("touch_force_n", limits.max_contact_force_n),
         ("land_force_n", limits.max_contact_force_n),
+        ("top_force_n", limits.max_contact_force_n),
+        ("stand_force_n", limits.max_contact_force_n),
         ("grasp_force_n", limits.max_grasp_force_n),
     ):
         value = getattr(handling, name)

@@ -1,7 +1,8 @@
-"""Pick and place, written once for every arm, and with which turn of the wrist.
+"""Pick and place, written once for every arm, from the table and from stacks, and with which turn of the wrist.
 
-Height is no part of an action: it is found by touch, so the same action picks from the table or from a stack. Nor is
-it said how often the wrist goes round: of all yaws that mean the same those are taken that turn the hand least.
+An action says what lies below, where that is known: the hand goes no lower than follows from it, and touch is the
+guard. Where it is not known, touch tells: hard things stop the hand, and soft ones are felt for by arms that can.
+Nor is it said how often the wrist goes round: of all yaws that mean the same those are taken that turn the hand least.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from baggie.errors import ReachError
+from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose, nearest_angle
 from baggie.robot.arm import Arm, ArmInfo
 from baggie.robot.limits import GuardedArm
@@ -19,16 +20,18 @@ _SAME_TURN_RAD = 1e-3
 """Turns that differ by less are equal: the hand is not measured better."""
 _ANY = 8
 """Turns that are tried of what looks the same at any angle."""
+_FINELY = 3
+"""So many times more slowly the hand comes down to feel for what is soft."""
 _WOBBLE_RAD = 0.01
 """An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
 
 @dataclass(frozen=True)
 class Handling:
-    """How an object likes to be handled. Metres, seconds, newtons; heights are the tool's, above the table."""
+    """How an object likes to be handled. Metres, seconds, newtons; heights are the tool's, above what it lies on."""
 
     travel_z_m: float = 0.20
-    """Where the loaded hand travels: what it carries hangs 6 to 10 cm below it."""
+    """Where the loaded hand travels: what it carries hangs 6 to 10 cm below it. Above the tallest stack, too."""
     approach_z_m: float = 0.11
     """Where the empty hand arrives above an object, fast, before it feels its way down."""
     pick_z_m: float = 0.014
@@ -45,6 +48,14 @@ class Handling:
     """How far the fingers open to let go, before they rise: further, they would drag the cloth along."""
     empty_width_m: float = 0.002
     """Fingers that close further than this hold nothing."""
+    top_force_n: float = 0.7
+    """Where nobody knows how high a soft thing lies, its top is where the fingertips feel this."""
+    sink_m: float = 0.018
+    """So far below its top they grasp it then."""
+    stand_force_n: float = 1.5
+    """Where nobody knows how high it shall be placed, what hangs in the hand begins to stand where this is felt."""
+    press_m: float = 0.016
+    """So much lower it is let go then."""
     fast_m_s: float = 1.2
     feel_m_s: float = 0.35
     carry_m_s: float = 0.55
@@ -73,30 +84,77 @@ class Release:
     """Whether there still was something between them."""
 
 
-def pick(arm: Arm, target: PlanarPose, handling: Handling) -> Grasp:
-    """Approach, descend until touch, squeeze, lift, verify by the gripper's width."""
-    h = handling
-    rise_to(arm, h.approach_z_m, h.fast_m_s)
+def pick(
+    arm: Arm, target: PlanarPose, handling: Handling, on_m: float | None = 0.0, tallest_m: float = 0.0
+) -> Grasp:
+    """Approach, descend until touch, squeeze, lift, verify by the gripper's width.
+
+    `on_m`, `tallest_m`: as `PickPlace` says them of the pick. Raises `LimitError` where the height is not known and the
+    arm feels too little to find it.
+    """
+    h, over_m = handling, max(on_m or 0.0, tallest_m)
+    rise_to(arm, over_m + h.approach_z_m, h.fast_m_s)
     arm.move_gripper(h.open_width_m)
-    arm.move_to(target.at_height(h.approach_z_m), h.fast_m_s)
-    arm.lower_until_contact(h.pick_z_m, h.feel_m_s, h.touch_force_n)
+    arm.move_to(target.at_height(over_m + h.approach_z_m), h.fast_m_s)
+    if on_m is not None and on_m < over_m:
+        arm.move_to(target.at_height(on_m + h.approach_z_m), h.fast_m_s)
+    _feel_down(arm, h, on_m, _Descent(h.pick_z_m, h.touch_force_n, h.top_force_n, h.sink_m))
     closed_at = arm.pose()
     arm.grasp(h.grasp_force_n)
-    rise_to(arm, h.travel_z_m, h.carry_m_s)
+    rise_to(arm, over_m + h.travel_z_m, h.carry_m_s)
     width = arm.gripper_width()
     return Grasp(closed_at, width, held=width > h.empty_width_m)
 
 
-def place(arm: Arm, target: PlanarPose, handling: Handling) -> Release:
-    """Carry gently, lower until what hangs in the hand stands, let go, retreat straight up."""
-    h = handling
-    rise_to(arm, h.travel_z_m, h.carry_m_s)
-    arm.move_to(target.at_height(h.travel_z_m), h.carry_m_s)
-    arm.lower_until_contact(h.place_z_m, h.feel_m_s, h.land_force_n)
+def place(
+    arm: Arm, target: PlanarPose, handling: Handling, on_m: float | None = 0.0, tallest_m: float = 0.0
+) -> Release:
+    """Carry gently, lower until what hangs in the hand stands, let go, retreat straight up.
+
+    `on_m`, `tallest_m`: as `PickPlace` says them of the place. Raises `LimitError` as `pick` does.
+    """
+    h, over_m = handling, max(on_m or 0.0, tallest_m)
+    rise_to(arm, over_m + h.travel_z_m, h.carry_m_s)
+    arm.move_to(target.at_height(over_m + h.travel_z_m), h.carry_m_s)
+    if on_m is not None and on_m < over_m:
+        arm.move_to(target.at_height(on_m + h.travel_z_m), h.carry_m_s)
+    _feel_down(arm, h, on_m, _Descent(h.place_z_m, h.land_force_n, h.stand_force_n, h.press_m))
     released_at, width = arm.pose(), arm.gripper_width()
     arm.move_gripper(h.release_width_m)
-    rise_to(arm, h.approach_z_m, h.fast_m_s)
+    rise_to(arm, over_m + h.approach_z_m, h.fast_m_s)
     return Release(released_at, width, held=width > h.empty_width_m)
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """How the tool comes down to a soft thing."""
+
+    z: float
+    """The lowest it goes, above what lies there."""
+    guard_n: float
+    """It stops where it feels this."""
+    first_n: float
+    """What it feels first, where nobody knows what lies there,"""
+    further_m: float
+    """and by how much it goes further then."""
+
+
+def _feel_down(arm: Arm, handling: Handling, on_m: float | None, descent: _Descent) -> None:
+    """Lower the tool as a descent says, onto what is `on_m` above the table, or is felt for where that is not known."""
+    feel_m_s = handling.feel_m_s
+    if on_m is not None:
+        arm.lower_until_contact(on_m + descent.z, feel_m_s, descent.guard_n)
+        return
+    if arm.info.feels_n > descent.first_n:
+        raise LimitError(
+            f"expected an arm that feels {descent.first_n:g} N, to find out how high a soft thing lies, got "
+            f"{arm.info.name}, which feels {arm.info.feels_n:g} N; say the height of what lies below "
+            "(PickPlace.pick_on_m, place_on_m)"
+        )
+    touched = arm.lower_until_contact(descent.z, feel_m_s / _FINELY, descent.first_n)
+    if touched.z > descent.z:
+        lower = max(touched.z - descent.further_m, descent.z)
+        arm.lower_until_contact(lower, feel_m_s / _FINELY, descent.guard_n)
 
 
 def rise_to(arm: Arm, z: float, speed_m_s: float) -> None:
@@ -180,8 +238,8 @@ def rehearse(arm: GuardedArm, action: PickPlace, handling: Handling) -> list[Too
     """
     paper = _PaperArm(arm.info, arm.pose())
     gate = GuardedArm(paper, arm.limits)
-    pick(gate, action.pick, handling)
-    place(gate, action.place, handling)
+    pick(gate, action.pick, handling, action.pick_on_m, action.tallest_m)
+    place(gate, action.place, handling, action.place_on_m, action.tallest_m)
     return paper.way[1:]
 
 

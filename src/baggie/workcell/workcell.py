@@ -324,7 +324,7 @@ class Workcell:
         action = least_turn(self.arm, action, handling, self.settings.object_symmetry)
         start = self.clock()
         try:
-            grasp = pick(self.arm, action.pick, handling)
+            grasp = pick(self.arm, action.pick, handling, action.pick_on_m, action.tallest_m)
         except (LimitError, ReachError):
             self.put_down()
             raise
@@ -339,9 +339,9 @@ class Workcell:
                 timings_s={"pick": picked - start},
             )
         try:
-            release = place(self.arm, action.place, handling)
+            release = place(self.arm, action.place, handling, action.place_on_m, action.tallest_m)
         except (LimitError, ReachError):
-            self.put_down(grasp.pose.planar)
+            self.put_down(grasp.pose.planar, action.pick_on_m, action.tallest_m)
             raise
         failure: Failure | None = None if release.held else "dropped"
         return Outcome(
@@ -354,17 +354,20 @@ class Workcell:
             timings_s={"pick": picked - start, "place": self.clock() - picked},
         )
 
-    def put_down(self, at: PlanarPose | None = None) -> bool:
+    def put_down(
+        self, at: PlanarPose | None = None, on_m: float | None = 0.0, tallest_m: float = 0.0
+    ) -> bool:
         """Put down what the hand may still hold after a motion was cut short; whether it held anything.
 
-        Where it is, or at the nearest place of the workspace, unless `at` says where.
+        Where it is, or at the nearest place of the workspace, unless `at` says where; `on_m` and `tallest_m` as
+        `PickPlace` says them of a place.
         """
         if not self._holds():
             return False
         if at is None:
             here = self.arm.pose()
             at = PlanarPose(*self.settings.workspace.nearest(here.x, here.y), here.yaw)
-        place(self.arm, at, self.settings.handling)
+        place(self.arm, at, self.settings.handling, on_m, tallest_m)
         return True
 
     def _holds(self) -> bool:

@@ -48,6 +48,10 @@ class HandlingEntry(Section):
     fast_m_s: float | None = None
     feel_m_s: float | None = None
     carry_m_s: float | None = None
+    top_force_n: float | None = None
+    sink_m: float | None = None
+    stand_force_n: float | None = None
+    press_m: float | None = None
 
     @property
     def written(self) -> dict[str, float]:
