@@ -2,12 +2,10 @@
 
 In words, or in a YAML file that holds either the words or all slots:
 
-| words | what that is |
-|---|---|
-| `tower:3` | three bags on each other |
-| `pyramid:3-2-1` | three bags in a row along the pattern's y, two over the gaps between them, one on top |
-| `layers:2x2,2x2 turned` | layers of rows along x by y; a layer that is `turned` lies at 45 degrees, its bags with it |
-| `slots:` and a list of `{x: 0.0, y: 0.0, yaw_deg: 0, layer: 0}` | any other; metres, in the pattern's frame |
+- `tower:3`: three bags on each other;
+- `pyramid:3-2-1`: three bags in a row along the pattern's y, two over the gaps between them, one on top;
+- `layers:2x2,2x2 turned`: layers of rows along x by y; one that is `turned` lies at 45 degrees, its bags with it;
+- `slots:` and a list of `{x: 0.0, y: 0.0, yaw_deg: 0, layer: 0}`: any other; metres, in the pattern's frame.
 """
 
 from __future__ import annotations
