@@ -88,6 +88,11 @@ def check_taught(policy: str, task: str) -> None:
             f"expected a policy that looks at {needed} with --task {task}, got {policy}, which looks at {looks}; "
             "give the --task that it was taught"
         )
+    if not (from_above or TASKS[task].has_goal):
+        raise BaggieError(
+            f"expected a policy that knows by itself where things go in {task}, got {policy}, which wants a goal in "
+            "the picture; give a --task with one, such as bag-place"
+        )
 
 
 def policy_name(policy: str) -> str:
