@@ -8,7 +8,8 @@ a real cup draws air.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import mujoco
@@ -300,7 +301,15 @@ class ArmWorld:
         With sleep enabled MuJoCo computes the poses of fixed things once after a reset, and what sleeps on one that
         moves away hangs in the air; so this computes them without, which wakes everything.
         """
+        with self._awake():
+            mujoco.mj_forward(self.model, self.data)
+
+    @contextmanager
+    def _awake(self) -> Iterator[None]:
+        """Let nothing sleep while the block runs."""
         flags = self.model.opt.enableflags
         self.model.opt.enableflags = flags & ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-        mujoco.mj_forward(self.model, self.data)
-        self.model.opt.enableflags = flags
+        try:
+            yield
+        finally:
+            self.model.opt.enableflags = flags

@@ -92,10 +92,8 @@ class World(ArmWorld):
 
     def advance_awake(self, seconds: float) -> None:
         """Let physics run, and nothing sleep meanwhile: what would fall, slide or sink does so."""
-        flags = self.model.opt.enableflags
-        self.model.opt.enableflags = flags & ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-        self.advance(seconds)
-        self.model.opt.enableflags = flags
+        with self._awake():
+            self.advance(seconds)
 
     def _choose_timestep(self, seconds: float) -> float:
         """Coarse as long as the tool, and what it carries, is well above whatever it could touch."""

@@ -140,38 +140,28 @@ def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene
     return Scene(bags, poses, (stacked,))
 
 
-_TOWER, _PYRAMID, _LAYERS = map(Pattern.parse, ("tower:3", "pyramid:3-2-1", "layers:2x2,2x2 turned"))
+def _task(name: str, pattern: Pattern, instruction: str) -> Task:
+    return Task(
+        name=name,
+        instruction=instruction,
+        tool="hand",
+        view="camera",
+        things=colored_bags(len(pattern.slots)),
+        draw_scene=partial(_draw, pattern),
+        max_steps=len(pattern.slots) + SPARE_STEPS,
+        object_symmetry=_SYMMETRY,
+        workspace=WORKSPACE,
+    )
 
-BAG_TOWER = Task(
-    name="bag-tower",
-    instruction="Stack three bean bags into a tower.",
-    tool="hand",
-    view="camera",
-    things=colored_bags(len(_TOWER.slots)),
-    draw_scene=partial(_draw, _TOWER),
-    max_steps=len(_TOWER.slots) + SPARE_STEPS,
-    object_symmetry=_SYMMETRY,
-    workspace=WORKSPACE,
+
+BAG_TOWER = _task("bag-tower", Pattern.parse("tower:3"), "Stack three bean bags into a tower.")
+BAG_PYRAMID = _task(
+    "bag-pyramid",
+    Pattern.parse("pyramid:3-2-1"),
+    "Stack six bean bags into a pyramid: three in a row below, two on them, one on top.",
 )
-BAG_PYRAMID = Task(
-    name="bag-pyramid",
-    instruction="Stack six bean bags into a pyramid: three in a row below, two on them, one on top.",
-    tool="hand",
-    view="camera",
-    things=colored_bags(len(_PYRAMID.slots)),
-    draw_scene=partial(_draw, _PYRAMID),
-    max_steps=len(_PYRAMID.slots) + SPARE_STEPS,
-    object_symmetry=_SYMMETRY,
-    workspace=WORKSPACE,
-)
-BAG_LAYERS = Task(
-    name="bag-layers",
-    instruction="Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
-    tool="hand",
-    view="camera",
-    things=colored_bags(len(_LAYERS.slots)),
-    draw_scene=partial(_draw, _LAYERS),
-    max_steps=len(_LAYERS.slots) + SPARE_STEPS,
-    object_symmetry=_SYMMETRY,
-    workspace=WORKSPACE,
+BAG_LAYERS = _task(
+    "bag-layers",
+    Pattern.parse("layers:2x2,2x2 turned"),
+    "Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
 )
