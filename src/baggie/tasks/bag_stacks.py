@@ -140,7 +140,7 @@ def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene
     return Scene(bags, poses, (stacked,))
 
 
-def _task(name: str, pattern: Pattern, instruction: str) -> Task:
+def _task(pattern: Pattern, *, name: str, instruction: str) -> Task:
     return Task(
         name=name,
         instruction=instruction,
@@ -154,14 +154,19 @@ def _task(name: str, pattern: Pattern, instruction: str) -> Task:
     )
 
 
-BAG_TOWER = _task("bag-tower", Pattern.parse("tower:3"), "Stack three bean bags into a tower.")
+# By keyword, as the commands' help reads names and instructions from this text.
+BAG_TOWER = _task(
+    Pattern.parse("tower:3"),
+    name="bag-tower",
+    instruction="Stack three bean bags into a tower.",
+)
 BAG_PYRAMID = _task(
-    "bag-pyramid",
     Pattern.parse("pyramid:3-2-1"),
-    "Stack six bean bags into a pyramid: three in a row below, two on them, one on top.",
+    name="bag-pyramid",
+    instruction="Stack six bean bags into a pyramid: three in a row below, two on them, one on top.",
 )
 BAG_LAYERS = _task(
-    "bag-layers",
     Pattern.parse("layers:2x2,2x2 turned"),
-    "Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
+    name="bag-layers",
+    instruction="Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
 )
