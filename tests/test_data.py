@@ -19,7 +19,7 @@ from hypothesis.extra import numpy as hnp
 
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.lerobot import DTYPES, IMAGE, NUMERIC_FEATURES
-from baggie.errors import DataError
+from baggie.errors import BaggieWarning, DataError
 from baggie.geometry import Grid, PlanarPose
 from baggie.types import Attempt, Intrinsics, Observation, Outcome, PickPlace, Truth
 from helpers.same import expect_same
@@ -237,6 +237,17 @@ def test_a_dataset_is_continued_only_with_its_own_settings(tmp_path: Path) -> No
     assert dict(open_dataset(tmp_path).collection) == {"seed": 0, "color": [200, 40, 40]}
     with pytest.raises(DataError, match="must be JSON"):
         writer(tmp_path / "other", rng=np.random.default_rng(0))
+
+
+def test_a_simulated_dataset_goes_on_under_other_physics_and_says_so(tmp_path: Path) -> None:
+    with writer(tmp_path, seed=0):
+        pass
+    with (
+        pytest.warns(BaggieWarning, match=r"other simulated physics \(1, now 2\)"),
+        writer(tmp_path, seed=0, physics=2),
+    ):
+        pass
+    assert dict(open_dataset(tmp_path).collection) == {"seed": 0}
 
 
 def test_only_one_writer_at_a_time(tmp_path: Path) -> None:

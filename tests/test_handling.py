@@ -27,7 +27,7 @@ from baggie.errors import BaggieError, LimitError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.options.commissioning import CheckOptions, DoctorOptions
 from baggie.robot.arm import ArmInfo
-from baggie.robot.handling_rules import ROOM_M, SIMULATED_HANDLING, Thing, contradiction, handled
+from baggie.robot.handling_rules import ROOM_M, Thing, contradiction, handled
 from baggie.robot.limits import GuardedArm
 from baggie.robot.primitives import Handling, pick, place, rehearse
 from baggie.types import PickPlace
@@ -371,7 +371,7 @@ def test_show_does_without_an_arm_that_cannot_be_made_here(
 def test_simulated_bags_are_handled_as_ever(tmp_path: Path, more: str) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(f"arm: sim\n{more}")
-    assert read_workcell_file(path).handled().handling == SIMULATED_HANDLING
+    assert read_workcell_file(path).handled().handling == Handling()
 
 
 @pytest.mark.parametrize(
@@ -399,7 +399,7 @@ def test_a_simulated_bag_may_say_its_own_height(tmp_path: Path, monkeypatch: pyt
     path.write_text("bag: {height_m: 0.03}\n")
     config._open(read_workcell_file(path), path)
     assert opened[0].object_size_m == WorkcellSettings().object_size_m
-    assert math.isclose(opened[0].handling.land_force_n, 3.0)
+    assert opened[0].handling == Handling()
 
 
 def test_a_learned_map_is_compared_at_half_the_height_that_is_written(folder: Path) -> None:

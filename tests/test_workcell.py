@@ -16,7 +16,6 @@ from baggie.cameras.camera import Camera, CameraSettings, OpenCamera
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.robot.franka import FrankaEntry
-from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.lerobot import LeRobotEntry
 from baggie.robot.limits import GuardedArm
 from baggie.robot.primitives import Handling, pick, place
@@ -258,7 +257,7 @@ FRANKA = "arm:\n  kind: franka\n  host: 192.0.2.1\n"
 
 @pytest.mark.parametrize(
     ("text", "force_n"),
-    [("arm: sim\n", SIMULATED_HANDLING.land_force_n), ("arm: sim\nhandling: {land_force_n: 7}\n", 7.0)],
+    [("arm: sim\n", Handling().land_force_n), ("arm: sim\nhandling: {land_force_n: 7}\n", 7.0)],
 )
 def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, force_n: float
@@ -270,7 +269,7 @@ def test_a_simulated_arm_handles_as_it_always_did_unless_its_file_says_how(
     path = tmp_path / "cell.yaml"
     path.write_text(text)
     config._open(read_workcell_file(path), path)
-    assert opened[0].handling == replace(SIMULATED_HANDLING, land_force_n=force_n)
+    assert opened[0].handling == replace(Handling(), land_force_n=force_n)
 
 
 def test_a_workcell_file_describes_a_real_arm(tmp_path: Path) -> None:

@@ -128,6 +128,8 @@ class Turn:
     operator: Operator
     doubted_before: bool = False
     """Whether the turn before read 45 degrees and did not believe it."""
+    seen: Observation | None = None
+    """What was seen just before this turn; the cell is as it was."""
     before: Observation | None = None
     found: Detection | None = None
     pose: PlanarPose | None = None
@@ -151,8 +153,8 @@ class Turn:
 
 
 def look(turn: Turn) -> Phase:
-    """Take a picture with the arm out of the way."""
-    turn.before = turn.cell.look()
+    """Take a picture with the arm out of the way, unless the one after the turn before still shows all."""
+    turn.before, turn.seen = turn.seen or turn.cell.look(), None
     turn.truth_before = turn.cell.truth()
     turn.looks += 1
     return Phase.FIND

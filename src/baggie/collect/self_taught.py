@@ -25,7 +25,7 @@ from baggie.collect.machine import Turn, helped, run_turn, stopped
 from baggie.collect.patience import Patience
 from baggie.collect.recording import OpenCell, Recording, Size, open_simulated_cell
 from baggie.data import Dataset, DatasetWriter, open_dataset
-from baggie.data.files import CALIBRATION_FOLDER
+from baggie.data.files import CALIBRATION_FOLDER, PHYSICS
 from baggie.data.record import fit, without_depth
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
@@ -35,7 +35,7 @@ from baggie.options.collecting import CollectOptions
 from baggie.options.values import USUAL_TASK
 from baggie.pictures import read_picture, recorded_size, same_shape, write_figure
 from baggie.processes import OpenWorker
-from baggie.types import Attempt, Truth
+from baggie.types import Attempt, Observation, Truth
 from baggie.vision.color_mask import Detection
 from baggie.workcell.config import open_written
 from baggie.workcell.replay import ReplayWorkcell
@@ -49,6 +49,8 @@ Ids = tuple[int, ...]
 Sit = Callable[[Ids], Iterable[list[Attempt]]]
 """Makes the attempts with these ids, each an episode."""
 ATTEMPTS_PER_SITTING = 10
+SIMULATED_PHYSICS = 2
+"""Of soft things, as recordings say it: it rises whenever the same seed comes to give other attempts."""
 STALL_AFTER = 5
 """Attempts in a row without a success before a person is asked."""
 
@@ -63,7 +65,14 @@ class SelfTaught:
         self._options, self._operator = options, operator
         self._open_cell, self.robot, table = what_opens(options, open_cell)
         self.simulated = self.robot == SIMULATED
-        self.collection = {"seed": options.seed, "cell": options.cell, "scenery": options.scenery, **table}
+        physics = {PHYSICS: SIMULATED_PHYSICS} if self.simulated else {}
+        self.collection = {
+            "seed": options.seed,
+            "cell": options.cell,
+            "scenery": options.scenery,
+            **table,
+            **physics,
+        }
 
     @functools.cached_property
     def image_to_robot(self) -> ImageToRobot:
@@ -247,11 +256,12 @@ def run_sitting(
     begun_at = (first,) if first else ()  # or places would be the first ones over again
     rng = seeds.generator(seeds.PLACES, recording.seed, number, *begun_at)
     doubted = rescued = False
+    seen: Observation | None = None
     failures = 0
     for index in range(first, ATTEMPTS_PER_SITTING):
         time = cell.clock()
-        turn = run_turn(Turn(cell, image_to_robot, rng, operator, doubted_before=doubted))
-        doubted = turn.doubted
+        turn = run_turn(Turn(cell, image_to_robot, rng, operator, doubted_before=doubted, seen=seen))
+        doubted, seen = turn.doubted, turn.after
         attempt = as_attempt(turn, recording, number * ATTEMPTS_PER_SITTING + index, time)
         yield attempt
         failures = 0 if attempt.outcome.success else failures + 1
@@ -260,7 +270,7 @@ def run_sitting(
             helps_itself = not rescued and cell.rescue()
             if not (helps_itself or helped(operator, trouble)):
                 raise stopped(trouble)
-            rescued, failures = rescued or helps_itself, 0
+            rescued, failures, seen = rescued or helps_itself, 0, None
 
 
 def _stall(attempt: Attempt, failures: int, trouble: str) -> str:

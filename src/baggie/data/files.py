@@ -19,6 +19,7 @@ import fcntl
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -28,7 +29,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from baggie.errors import DataError
+from baggie.errors import BaggieWarning, DataError
 from baggie.files import only_ours
 
 _MAGIC = b"PAR1"
@@ -280,6 +281,9 @@ def attempt_id_of(path: Path) -> int:
 
 _LATER = frozenset({"workcell"})
 """What older recordings do not say of how they were collected: it is taken to be the same."""
+PHYSICS = "physics"
+"""Which physics of soft things a simulated recording was made with: a number that rises with every change."""
+_FIRST_PHYSICS = 1
 _ANY_ROBOT = frozenset({"python", "lerobot"})
 """What older recordings say of an arm of one's own or LeRobot's: its name is taken to be the same."""
 FORMAT = "baggie-attempts-1"
@@ -331,8 +335,16 @@ class DatasetSettings:
             raise broken(layout.collection, "is damaged") from None
 
     def check_same(self, other: DatasetSettings, root: Path) -> None:
-        """Raise DataError saying what differs from `other`, the settings asked for now."""
+        """Raise DataError saying what differs from `other`, the settings asked for now; other physics only warn."""
         mine, theirs = _flat(self), _flat(other)
+        before, now = mine.pop(PHYSICS, _FIRST_PHYSICS), theirs.pop(PHYSICS, _FIRST_PHYSICS)
+        if before != now:
+            warnings.warn(
+                f"{root} was begun with other simulated physics ({before}, now {now}): what comes is as good, but not "
+                "what the same seed gave then; record into another folder where that matters",
+                BaggieWarning,
+                stacklevel=2,
+            )
         for key in sorted(mine.keys() | theirs.keys()):
             recorded, asked = mine.get(key), theirs.get(key)
             older = (key in _LATER and key not in mine) or (key == "robot_type" and recorded in _ANY_ROBOT)

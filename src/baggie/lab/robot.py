@@ -19,7 +19,7 @@ from baggie.geometry import FloatArray
 from baggie.robot.franka.link import T_FLANGE_TOOL
 from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
-from baggie.sim.arm_world import OPEN_M, ArmWorld, Fingers, upward_touch
+from baggie.sim.arm_world import HAND, OPEN_M, ArmWorld, Fingers, upward_touch
 from baggie.sim.scene import ARM, arm_spec
 
 Difference = Callable[[FloatArray, FloatArray], FloatArray]
@@ -107,7 +107,6 @@ STEP_S = TICKS_PER_STEP * TICK_S
 FELT_OVER_S = 0.05
 """The force is the median over so long: squeezed cloth chatters for up to three steps with hundreds of newtons, which
 is the simulation's own, and which an estimate from joint torques would not show."""
-_HAND = ("hand", "left_finger", "right_finger")
 
 
 class LabRobot:
@@ -119,7 +118,7 @@ class LabRobot:
         self._world = world
         self.hand = LabHand(fingers)
         self._kinematics = Kinematics(arm_spec().compile(), HOME)
-        self._hand_bodies = {world.model.body(ARM + name).id for name in _HAND}
+        self._hand_bodies = {world.model.body(ARM + name).id for name in HAND}
         self._forces = deque[float](maxlen=round(FELT_OVER_S / STEP_S) | 1)
         self._tick = 0
         self._joints = CommandState(world.joints)

@@ -35,9 +35,6 @@ SLOWEST_M_S = 0.02
 """No thing has to be felt for more slowly."""
 WIDEST_M = 0.5
 """No two fingers open further."""
-SIMULATED_HANDLING = Handling(land_force_n=3.0)
-"""The simulated wrist feels no cloth, only how its load swings: bags are pressed flat whatever this is. It stays what
-it was, so that attempts of a seed do, too."""
 
 
 @dataclass(frozen=True)

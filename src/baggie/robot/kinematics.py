@@ -116,7 +116,8 @@ def _quaternion(rotation: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True), float)
 
 
-CONTROL_PERIOD_S = 0.02
+CONTROL_PERIOD_S = 0.024
+"""Of simulated arms, between two commands: a multiple of all steps of physics."""
 POSITION_TOLERANCE_M = 0.0005
 ROTATION_TOLERANCE_RAD = 0.002
 _ASTRAY_M = 0.004

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -30,7 +31,9 @@ class ArmMotions:
     period_s = CONTROL_PERIOD_S
     """Between two commands."""
     feel_period_s = CONTROL_PERIOD_S
-    """Between two commands on the way down, and two looks at the wrist's force."""
+    """Between two commands on the way down, and two looks at the force on the tool."""
+    looks_to_feel = 1
+    """Looks in a row at which a force has to be there for the arm to feel it."""
     settled_rad = np.inf
     """How near every joint has to be to what was commanded; the hand's arm is at rest before it is there."""
 
@@ -64,17 +67,13 @@ class ArmMotions:
         return self.pose()
 
     def lower_until_contact(self, z_min: float, speed_m_s: float, force_n: float) -> ToolPose:
-        """Straight down with minimum-jerk timing until the wrist feels `force_n` more than at the start."""
+        """Straight down with minimum-jerk timing until the arm feels `force_n` more than at the start."""
         start = self._kinematics.tool_pose(self._target)
         if start.z > z_min:
             path = self._kinematics.line(self._target, replace(start, z=z_min))
             # Where a joint slows only a part of the way, the hand's own inertia would be felt as a contact.
             speed_m_s = min(speed_m_s, self._kinematics.even_speed(path, JOINT_SPEED_LIMITS))
-            tare = self._world.upward_force
-            felt = self._drive(
-                path, speed_m_s, self.feel_period_s, lambda: self._world.upward_force - tare > force_n
-            )
-            if felt:
+            if self._drive(path, speed_m_s, self.feel_period_s, self._feeling(force_n)):
                 self._stop_at_contact()
             self._rest()
         return self.pose()
@@ -96,6 +95,17 @@ class ArmMotions:
     def reset(self) -> None:
         """Take note that the world put the arm back home."""
         self._target = HOME
+
+    def _feeling(self, force_n: float) -> Callable[[], bool]:
+        """What looks whether the tool is pushed up by `force_n` more than now, at `looks_to_feel` looks in a row."""
+        tare = self._world.upward_force
+        felt = deque[bool](maxlen=self.looks_to_feel)
+
+        def look() -> bool:
+            felt.append(self._world.upward_force - tare > force_n)
+            return len(felt) == self.looks_to_feel and all(felt)
+
+        return look
 
     def _stop_at_contact(self) -> None:
         """Stop now that something was touched. Here at once; what is soft takes up the rest."""
@@ -144,15 +154,27 @@ class ArmMotions:
 
 FINGER_SPEED_M_S = 0.05  # each; Franka's data sheet
 SQUEEZE_S = 0.4
+"""So long at most cloth gives way between the fingers,"""
+SQUEEZED_M = 0.0002
+"""which are done where they close by less than this"""
+SQUEEZED_S = 4 * CONTROL_PERIOD_S
+"""in so long."""
 FINGER_SETTLE_S = 0.1
+FEELS_N = 0.5
+"""Contacts are added up, without a sensor's noise."""
 
 
 class SimulatedArm(ArmMotions):
     """The FR3 with its hand. Raises `BaggieError` for a world whose arm carries another tool."""
 
+    feel_period_s = CONTROL_PERIOD_S / 2
+    looks_to_feel = 3  # squeezed cloth chatters
+
     def __init__(self, world: World) -> None:
         super().__init__(world)
-        self.info = ArmInfo("simulated FR3", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0)
+        self.info = ArmInfo(
+            "simulated FR3", max_width_m=0.08, max_speed_m_s=1.7, max_force_n=70.0, feels_n=FEELS_N
+        )
         self._fingers = _fingers(world)
 
     def move_gripper(self, width_m: float) -> float:
@@ -176,7 +198,11 @@ class SimulatedArm(ArmMotions):
             self._fingers.set_opening(opening)
             self._world.advance(CONTROL_PERIOD_S)
         self._fingers.set_opening(0.0)
-        self._world.advance(SQUEEZE_S)
+        for _ in range(round(SQUEEZE_S / SQUEEZED_S)):
+            before = self._fingers.width
+            self._world.advance(SQUEEZED_S)
+            if before - self._fingers.width < SQUEEZED_M:
+                break
         return self._fingers.width
 
     def gripper_width(self) -> float:

@@ -8,9 +8,10 @@ a real cup draws air.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -25,6 +26,22 @@ from baggie.vision.targets import Target
 
 MOVE_FORCE_N = 20.0  # what moves the empty fingers against their friction
 OPEN_M = 0.04  # each finger from the middle, at the most
+HAND = ("hand", "left_finger", "right_finger")
+"""Names of the bodies that touch things, without the arm's prefix."""
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """How finely physics is reckoned."""
+
+    longest_s: float
+    """The most that a step may take."""
+    solver: mujoco.mjtSolver = mujoco.mjtSolver.mjSOL_NEWTON
+    iterations: int = 100
+    """The most that the solver takes in a step."""
+
+
+FINE = Stepping(TIMESTEP_S)
 
 
 class Fingers:
@@ -216,6 +233,7 @@ class ArmWorld:
         # A position servo with damping lags by kv / kp seconds; `set_joints` feeds that forward.
         stiffness = model.actuator_gainprm[self._arm_ctrl, 0]
         self._lag = -model.actuator_biasprm[self._arm_ctrl, 2] / stiffness
+        self._hand = {model.body(ARM + name).id for name in HAND} if self.fingers else set[int]()
         self._wrist = model.sensor(f"{ARM}wrist").adr[0]
         self._wrist_site = model.site(f"{ARM}wrist").id
         self._tool_site = model.site(f"{ARM}tool").id
@@ -229,19 +247,29 @@ class ArmWorld:
 
     def advance(self, seconds: float) -> None:
         """Let physics run."""
-        timestep = self._choose_timestep(seconds)
-        self.model.opt.timestep = timestep
-        mujoco.mj_step(self.model, self.data, max(round(seconds / timestep), 1))
+        stepping = self._stepping(seconds)
+        steps = max(math.ceil(seconds / stepping.longest_s - 1e-6), 1)
+        self._step_by(replace(stepping, longest_s=seconds / steps))
+        mujoco.mj_step(self.model, self.data, steps)
         for watch in self.watchers:
             watch()
 
-    def _choose_timestep(self, seconds: float) -> float:
-        """Seconds, for what is about to happen within these seconds."""
-        return TIMESTEP_S
+    def _stepping(self, seconds: float) -> Stepping:
+        """How finely to reckon what is about to happen within these seconds."""
+        return FINE
+
+    def _step_by(self, stepping: Stepping) -> None:
+        option = self.model.opt
+        option.timestep, option.solver, option.iterations = (
+            stepping.longest_s,
+            stepping.solver,
+            stepping.iterations,
+        )
 
     def _reset_arm(self) -> None:
         """Everything as the model has it, the arm home, fingers open, all at rest."""
         mujoco.mj_resetData(self.model, self.data)
+        self._step_by(FINE)  # whatever the step before was: the same scene begins the same
         self.data.qpos[self._arm_q] = HOME
         self.set_joints(HOME, np.zeros(7))
         if self.fingers is not None:
@@ -272,7 +300,12 @@ class ArmWorld:
 
     @property
     def upward_force(self) -> float:
-        """Newtons that push the hand up, as a wrist sensor feels them, the hand's own weight included."""
+        """Newtons that push the tool up: what touches a hand; of a cup what a wrist sensor feels, its weight included.
+
+        The sensor of MuJoCo leaves out what is soft, and a hand's own inertia would drown what a bag weighs.
+        """
+        if self._hand:
+            return upward_touch(self.model, self.data, self._hand)
         force = self.data.sensordata[self._wrist : self._wrist + 3]
         return float(-(self.data.site_xmat[self._wrist_site].reshape(3, 3) @ force)[2])
 

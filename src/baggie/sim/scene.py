@@ -108,6 +108,8 @@ def _add_cylinder(
 
 
 TIMESTEP_S = 0.004  # 8 ms halve the time and lose a quarter of the grasps
+_CREEP_M_S = 0.01
+_SOFT_TOLERANCE = 1e-4  # of the solver; with less, soft things are no better
 TABLE_HEIGHT_M = 0.75
 FINGER_GAIN = 10_000.0  # N/m; the stock 100 N/m presses with 2 to 4 N and loses the bag
 FINGER_DAMPING = 300.0
@@ -176,11 +178,14 @@ def build_model(
     lying = "".join(distractor_xml(number, each) for number, each in enumerate(distractors))
     bodies = "".join(thing.xml() for thing in things) + lying + (block_xml() if tool == "hand" else "")
     scene = scene_spec(cell, "".join(thing.assets() for thing in things), bodies, tool)
-    if not any(thing.soft for thing in things):
+    # What rests on the table stands still and costs nothing; on a fixture, a mocap body, MuJoCo lets none sleep.
+    scene.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    if any(thing.soft for thing in things):
+        scene.option.sleep_tolerance = _CREEP_M_S  # what is soft never comes quite to rest
+        scene.option.tolerance = _SOFT_TOLERANCE
+    else:
         # Round friction cones: blocks do not creep, and cheaper.
         scene.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        # What rests on the table stands still and costs nothing; on a fixture, a mocap body, MuJoCo lets none sleep.
-        scene.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     _add_depth_cameras(scene, cameras)
     if tool == "cup":
         _add_seals(scene, [thing.name for thing in things if thing.movable])
@@ -256,6 +261,8 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
         # As stiff as it is damped in the file, the light wrist never comes to rest at our time steps.
         spec.actuator(f"fr3_joint{joint}").biasprm[2] *= WRIST_DAMPING
     if tool == "hand":
+        for finger in ("left_finger", "right_finger"):
+            _square_finger(spec.body(finger))
         grip = spec.actuator("hand")
         # Position control of the mean finger opening (metres) with a force limit that `Fingers.set_force` moves.
         grip.gainprm[0] = FINGER_GAIN
@@ -288,6 +295,29 @@ def arm_spec(tool: Tool = "hand") -> mujoco.MjSpec:
         objname="wrist",
     )
     return spec
+
+
+_FINGER_M = (
+    ((-0.0090, 0.0094, 0.0360), (0.0090, 0.0144, 0.0539)),
+    ((-0.0091, 0.0080, 0.0193), (0.0091, 0.0157, 0.0360)),
+    ((-0.0105, 0.0025, 0.0000), (0.0105, 0.0263, 0.0193)),
+)
+"""Corners of the boxes that a finger touches with: its tip, its middle and its foot, in its own frame."""
+
+
+def _square_finger(finger: mujoco.MjsBody) -> None:
+    """Let boxes touch in place of a finger's mesh: its thousand points are searched anew for each fold of cloth."""
+    for geom in finger.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            geom.contype = geom.conaffinity = 0
+    for low, high in np.array(_FINGER_M):
+        finger.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(low + high) / 2,
+            size=(high - low) / 2,
+            group=_HULL_GROUP,
+            mass=0,
+        )
 
 
 def block_xml() -> str:

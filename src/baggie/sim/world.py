@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, invert_transform
-from baggie.sim.arm_world import ArmWorld, Suction, upward_touch
+from baggie.sim.arm_world import FINE, ArmWorld, Stepping, Suction, upward_touch
 from baggie.sim.bag import Bag
 from baggie.sim.cell import Cell
 from baggie.sim.objects import Block, Body, Fixture, Pose, RigidBody, SceneObject, paint, reshape
@@ -34,7 +34,6 @@ from baggie.sim.scene import (
     BLOCK_AWAY,
     BLOCK_HALF_M,
     T_HAND_PLATE,
-    TIMESTEP_S,
     Tool,
     build_model,
 )
@@ -42,7 +41,12 @@ from baggie.sim.variety import Distractor
 from baggie.vision.height_map import DepthCamera
 from baggie.vision.targets import Target
 
-COARSE_TIMESTEP_S = 0.008  # twice as fast, and good where nothing but the table touches what lies on it
+COARSE = Stepping(0.008)
+"""Good where nothing but the table touches what lies on it."""
+SOFT_AT_REST = Stepping(0.008, mujoco.mjtSolver.mjSOL_CG)
+"""What no hand is near: conjugate gradients are as good for it as Newton's method, and cheaper."""
+SOFT = Stepping(0.006, iterations=3)
+"""What a hand squeezes: with more iterations its cloth chatters, by hundreds of newtons, and slips out of the hand."""
 PERIOD_S = 0.008
 """Between two looks at the seal of a cup."""
 HAND_CLEARANCE_M, CUP_CLEARANCE_M = 0.03, 0.02  # further than the hand moves in one control period
@@ -95,16 +99,13 @@ class World(ArmWorld):
         with self._awake():
             self.advance(seconds)
 
-    def _choose_timestep(self, seconds: float) -> float:
+    def _stepping(self, seconds: float) -> Stepping:
         """Coarse as long as the tool, and what it carries, is well above whatever it could touch."""
-        coarse = (
-            seconds >= COARSE_TIMESTEP_S and self._cup_is_clear() if self.suction else self._hand_is_clear()
-        )
+        if self.suction:
+            return COARSE if seconds >= COARSE.longest_s and self._cup_is_clear() else FINE
         if self._soft:
-            # Newton's method is exact when cloth is squeezed; at rest one step of conjugate gradients is as good.
-            solvers = mujoco.mjtSolver
-            self.model.opt.solver = solvers.mjSOL_CG if coarse else solvers.mjSOL_NEWTON
-        return COARSE_TIMESTEP_S if coarse else TIMESTEP_S
+            return SOFT_AT_REST if self._hand_is_clear() else SOFT
+        return COARSE if self._hand_is_clear() else FINE
 
     def _hand_is_clear(self) -> bool:
         fingertips = self.data.site_xpos[self._tool_site, 2] - FINGERTIP_M

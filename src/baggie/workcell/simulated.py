@@ -13,7 +13,6 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.options.values import USUAL_TASK, Scenery
 from baggie.registry import TASKS
-from baggie.robot.handling_rules import SIMULATED_HANDLING
 from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
 from baggie.sim.bag import Bag, SoftBody
@@ -271,9 +270,7 @@ class SimulatedWorkcell(Workcell):
 def _settings(task: Task, things: Sequence[SceneObject], cell: int) -> WorkcellSettings:
     """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
     if task.tool == "hand":
-        settings = WorkcellSettings(
-            name=f"sim cell {cell}", workspace=task.workspace, handling=SIMULATED_HANDLING
-        )
+        settings = WorkcellSettings(name=f"sim cell {cell}", workspace=task.workspace)
         bags = [thing for thing in things if isinstance(thing, Bag)]
         described = _describing(bags[0], settings) if bags else settings
         # Where the task itself says where things go, it says by which yaws of the hand, too.

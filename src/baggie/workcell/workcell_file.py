@@ -18,7 +18,7 @@ from baggie.options.commissioning import ShowWorkcellOptions
 from baggie.options.values import Color, Seed
 from baggie.registry import ARMS, CAMERAS
 from baggie.robot.arm import ArmEntry, ArmInfo
-from baggie.robot.handling_rules import SIMULATED_HANDLING, Handled, Thing, contradiction, handled
+from baggie.robot.handling_rules import Handled, Thing, contradiction, handled
 from baggie.robot.limits import Limits
 from baggie.robot.primitives import Handling
 from baggie.sim.bag import FULL_HEIGHT_M, LONG_ASPECT, Bag
@@ -166,7 +166,7 @@ class SimulatedEntry(CellEntry):
 
     def usual(self, bag: BagEntry) -> tuple[Handling, Thing]:
         """As it always was, whatever the bag."""
-        return SIMULATED_HANDLING, BagEntry().thing
+        return Handling(), BagEntry().thing
 
     def check_bag(self, bag: BagEntry) -> None:
         """Raise `ValueError` for what the simulated bag, a soft pillow, cannot be."""
