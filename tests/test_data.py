@@ -44,7 +44,9 @@ def record(root: Path, ids: list[int], seed: int = 0) -> list[Attempt]:
 finite = st.floats(-1e6, 1e6)
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 poses = st.builds(PlanarPose, finite, finite, finite)
-actions = st.builds(PickPlace, poses, poses)
+heights = st.none() | st.floats(0.0, 1.0)
+actions = st.builds(PickPlace, poses, poses, heights, heights, st.floats(0.0, 1.0))
+layers = st.none() | st.integers(0, 8)
 corners = hnp.arrays(float, (4, 2), elements=st.one_of(finite, st.just(math.nan)))
 seeds = st.integers(0, 2**32)
 colors = seeds.map(lambda seed: np.random.default_rng(seed).integers(0, 256, (36, 64, 3), np.uint8))
@@ -101,6 +103,9 @@ attempts = st.builds(
     st.just(0),
     st.none() | numbers,
     st.none() | st.integers(0, 8),
+    layers,
+    layers,
+    st.lists(poses, max_size=2).map(tuple),
 )
 
 

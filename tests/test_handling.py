@@ -255,6 +255,16 @@ def test_where_nobody_knows_how_high_a_soft_thing_lies_it_is_felt_for(top: float
     assert arm.forces == [h.top_force_n, h.touch_force_n, h.stand_force_n, h.land_force_n]
 
 
+@given(st.floats(0.05, 0.15), st.floats(-0.01, 0.01))
+def test_an_arm_that_feels_corrects_a_counted_height_by_touch(top: float, off: float) -> None:
+    h = Handling()
+    for arm, lands in ((StackArm(top), top - h.press_m), (StackArm(top, feels_n=5.0), top + off)):
+        counted = top + off - h.place_z_m
+        assert place(arm, STACK.place, h, counted).pose.z == pytest.approx(
+            max(lands, top + off - 0.012) if arm.info.feels_n < 1 else lands
+        )
+
+
 def test_an_arm_that_feels_too_little_says_so_and_does_not_come_down() -> None:
     arm = StackArm(0.05, feels_n=2.0)
     cell = TimelessCell(arm, cast(Camera, None), WorkcellSettings())

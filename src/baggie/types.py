@@ -30,7 +30,7 @@ Image = NDArray[np.uint8]
 
 GoalStyle = Literal["outline", "solid", "card"]
 """How a goal shows in the picture: as a drawn outline or patch, or as a card that really lies there, undrawn."""
-Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled"]
+Failure = Literal["missed-grasp", "dropped", "lost-bag", "unreachable", "stalled", "slid-off"]
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,10 @@ class Goal:
     """RGB."""
     object_at: tuple[float, float] | None = None
     """A pixel (u, v) on the object to be moved, where several lie there; None leaves the choice to the policy."""
+    layer: int = 0
+    """How many bags lie below the region, on each other: 0 where the object goes onto the table."""
+    object_layer: int = 0
+    """The same of the object to be moved: how many lie below it now."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "corners", as_outline(self.corners))
@@ -192,6 +196,11 @@ class Goal:
                     f"expected the object's pixel as two numbers (u, v), got {self.object_at!r}"
                 )
             object.__setattr__(self, "object_at", pixel)
+        for name in ("layer", "object_layer"):
+            number = getattr(self, name)
+            if not isinstance(number, int | np.integer) or isinstance(number, bool) or number < 0:
+                raise BaggieError(f"expected a goal's {name} as a count from 0 on, got {number!r}")
+            object.__setattr__(self, name, int(number))
 
     @property
     def center(self) -> FloatArray:
@@ -353,3 +362,9 @@ class Attempt:
     object_symmetry: int | None = None
     """How often a turn what is moved looks the same: 4 a square, 2 a long one, 1 only after a whole turn, 0 at any
     angle; None where nobody said."""
+    pick_layer: int | None = None
+    """How many bags lay below what was picked, on each other, as whoever showed it believed; None if nobody counted."""
+    place_layer: int | None = None
+    """The same of where it was placed."""
+    under: tuple[PlanarPose, ...] = ()
+    """Where those that it was placed on lay, as whoever showed it believed; robot base frame."""

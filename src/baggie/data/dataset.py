@@ -112,6 +112,11 @@ _NOT_NUMBERS = {
     "after_grid",
     "episode",
     "object_symmetry",
+    "commanded_heights",
+    "executed_heights",
+    "pick_layer",
+    "place_layer",
+    "under",
 }
 
 
@@ -307,14 +312,15 @@ class Dataset(Sequence[Attempt]):
         radians in the robot base frame; `box_before`, `box_after` `(N, 4, 2)` pixels (u, v). NaN stands for
         what is not known. `success` is bool; `timings_s.<phase>` holds seconds by phase. `episode` is -1 where an
         attempt stands alone; `reward` NaN where nobody counts; `object_symmetry` is each attempt's own, NaN where
-        it says none.
+        it says none, as `pick_layer` and `place_layer` are.
         """
         table = self._numbers
         result = {name: _numeric(table[name]) for name in _LISTED if name not in _NOT_NUMBERS}
         for box in ("box_before", "box_after"):
             result[box] = result[box].reshape(-1, 4, 2)
         result["episode"] = self.episodes
-        result["object_symmetry"] = _numeric(table["object_symmetry"].cast(pa.float64()))
+        for name in ("object_symmetry", "pick_layer", "place_layer"):
+            result[name] = _numeric(table[name].cast(pa.float64()))
         result["success"] = np.array([failure is None for failure in self.failures], bool)
         timings = [dict(pairs) for pairs in table["timings_s"].to_pylist()]
         for phase in sorted({phase for times in timings for phase in times}):

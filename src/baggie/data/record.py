@@ -7,6 +7,7 @@ millimetre, heights to a hundredth of one.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -133,6 +134,11 @@ _NUMBERS = pa.schema(
         ("before_grid", _GRID),
         ("after_grid", _GRID),
         ("object_symmetry", pa.int64()),
+        ("commanded_heights", pa.list_(pa.float64(), 3)),
+        ("executed_heights", pa.list_(pa.float64(), 3)),
+        ("pick_layer", pa.int64()),
+        ("place_layer", pa.int64()),
+        ("under", pa.list_(pa.list_(pa.float64(), 3))),
     ]
 )
 _PICTURES = pa.schema(
@@ -153,6 +159,11 @@ _LATER: Mapping[str, int | None] = {
     "before_height": None,
     "after_height": None,
     "object_symmetry": None,
+    "commanded_heights": None,
+    "executed_heights": None,
+    "pick_layer": None,
+    "place_layer": None,
+    "under": None,
 }
 """The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
@@ -254,6 +265,11 @@ def to_record(attempt: Attempt, episode_index: int, histogram: NDArray[np.int32]
         "before_grid": _grid_record(before.grid),
         "after_grid": _grid_record(after.grid if after else None),
         "object_symmetry": attempt.object_symmetry,
+        "commanded_heights": _heights_record(attempt.commanded),
+        "executed_heights": _heights_record(outcome.executed),
+        "pick_layer": attempt.pick_layer,
+        "place_layer": attempt.place_layer,
+        "under": [_pose_record(pose) for pose in attempt.under],
         "before_depth": encode_depth(before.depth) if before.depth is not None else None,
         "after_color": encode_color(after.color) if after else None,
         "after_depth": encode_depth(after.depth) if after and after.depth is not None else None,
@@ -306,9 +322,9 @@ def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> 
         task=record["task"],
         before=before,
         after=after,
-        commanded=PickPlace.from_array(record["commanded"]),
+        commanded=_action(record, "commanded"),
         outcome=Outcome(
-            executed=PickPlace.from_array(record["executed"]),
+            executed=_action(record, "executed"),
             failure=record["failure"],
             grasp_width_m=record["grasp_width_m"],
             release_width_m=record["release_width_m"],
@@ -327,7 +343,25 @@ def to_attempt(record: Record, before_png: bytes | memoryview, source: Path) -> 
         step=record["step"],
         reward=record["reward"],
         object_symmetry=record["object_symmetry"],
+        pick_layer=record["pick_layer"],
+        place_layer=record["place_layer"],
+        under=tuple(PlanarPose(*pose) for pose in record["under"] or ()),
     )
+
+
+def _heights_record(action: PickPlace) -> list[float] | None:
+    """Heights below the pick and the place, NaN where nobody knows, and the tallest; None where all is the table."""
+    heights = [action.pick_on_m, action.place_on_m, action.tallest_m]
+    return None if heights == [0.0] * 3 else [math.nan if height is None else height for height in heights]
+
+
+def _action(record: Record, name: str) -> PickPlace:
+    """The inverse of an action's numbers and heights."""
+    action, heights = PickPlace.from_array(record[name]), record[f"{name}_heights"]
+    if heights is None:
+        return action
+    pick_on, place_on = (None if math.isnan(height) else height for height in heights[:2])
+    return dataclasses.replace(action, pick_on_m=pick_on, place_on_m=place_on, tallest_m=heights[2])
 
 
 def _observation(which: str, color: bytes | memoryview, record: Record, source: Path) -> Observation:

@@ -215,6 +215,7 @@ def goal_of(attempt: Attempt) -> Goal:
     """The bag's box in the picture after, as the goal in the picture before.
 
     Hindsight relabelling: whatever the attempt was meant to do, it shows how to reach where the bag lies now.
+    Where several bags lay about, it says which was picked, and in which layers both places are.
     Nothing is painted here; `baggie.vision.draw.paint_goal` does that when a picture is read, so that one
     recording serves every style and colour, the printed card's in today's light too (`vision.goal_card.measure_color`).
     Raises `DataError` when the bag was not found in the picture after.
@@ -223,7 +224,16 @@ def goal_of(attempt: Attempt) -> Goal:
         raise DataError(
             f"attempt {attempt.attempt_id} has no goal: the bag was not found in its picture after"
         )
-    return Goal(np.asarray(attempt.box_after, float))
+    corners = np.asarray(attempt.box_after, float)
+    if attempt.pick_layer is None or not np.isfinite(attempt.box_before).all():
+        return Goal(corners)
+    u, v = attempt.box_before.mean(axis=0)
+    return Goal(
+        corners,
+        object_at=(float(u), float(v)),
+        layer=attempt.place_layer or 0,
+        object_layer=attempt.pick_layer,
+    )
 
 
 def shown_goal(attempt: Attempt) -> Goal | None:

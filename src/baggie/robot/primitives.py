@@ -1,7 +1,8 @@
 """Pick and place, written once for every arm, from the table and from stacks, and with which turn of the wrist.
 
-An action says what lies below, where that is known: the hand goes no lower than follows from it, and touch is the
-guard. Where it is not known, touch tells: hard things stop the hand, and soft ones are felt for by arms that can.
+An action says what lies below, where that is known or counted. On the table the hand goes as low as follows from it,
+and touch is the guard. Above it bags lie some millimetres higher or lower than counted, so arms that can feel for them;
+where nothing is known they have to.
 Nor is it said how often the wrist goes round: of all yaws that mean the same those are taken that turn the hand least.
 """
 
@@ -22,6 +23,8 @@ _ANY = 8
 """Turns that are tried of what looks the same at any angle."""
 _FINELY = 3
 """So many times more slowly the hand comes down to feel for what is soft."""
+_LOWER_M = 0.012
+"""So much lower than counted what lies above the table is felt for."""
 _WOBBLE_RAD = 0.01
 """An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
@@ -141,19 +144,20 @@ class _Descent:
 
 def _feel_down(arm: Arm, handling: Handling, on_m: float | None, descent: _Descent) -> None:
     """Lower the tool as a descent says, onto what is `on_m` above the table, or is felt for where that is not known."""
-    feel_m_s = handling.feel_m_s
-    if on_m is not None:
+    feel_m_s, feels = handling.feel_m_s, arm.info.feels_n <= descent.first_n
+    if on_m is not None and not (feels and on_m > 0):
         arm.lower_until_contact(on_m + descent.z, feel_m_s, descent.guard_n)
         return
-    if arm.info.feels_n > descent.first_n:
+    if not feels:
         raise LimitError(
             f"expected an arm that feels {descent.first_n:g} N, to find out how high a soft thing lies, got "
             f"{arm.info.name}, which feels {arm.info.feels_n:g} N; say the height of what lies below "
             "(PickPlace.pick_on_m, place_on_m)"
         )
-    touched = arm.lower_until_contact(descent.z, feel_m_s / _FINELY, descent.first_n)
-    if touched.z > descent.z:
-        lower = max(touched.z - descent.further_m, descent.z)
+    lowest = descent.z if on_m is None else max(on_m - _LOWER_M, 0.0) + descent.z
+    touched = arm.lower_until_contact(lowest, feel_m_s / _FINELY, descent.first_n)
+    if touched.z > lowest:
+        lower = max(touched.z - descent.further_m, lowest)
         arm.lower_until_contact(lower, feel_m_s / _FINELY, descent.guard_n)
 
 
