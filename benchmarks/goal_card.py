@@ -17,7 +17,7 @@ import tyro
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.rectify import raise_card
-from baggie.collect.calibrate import calibrate
+from baggie.commissioning.image_to_robot import calibrate
 from baggie.evaluation.episode import draw_goal
 from baggie.geometry import PlanarPose
 from baggie.options.values import Scenery

@@ -21,7 +21,7 @@ import tyro
 from numpy.typing import NDArray
 
 import baggie
-from baggie.collect.calibrate import calibrate
+from baggie.commissioning.image_to_robot import calibrate
 from baggie.geometry import FloatArray
 from baggie.results import provenance, write_results
 from baggie.workcell.simulated import SimulatedWorkcell

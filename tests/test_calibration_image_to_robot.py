@@ -13,8 +13,7 @@ from scipy.stats import chi2
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison, draw_residuals, lattice
-from baggie.collect.calibrate import calibrate
-from baggie.commissioning.image_to_robot import grid
+from baggie.commissioning.image_to_robot import calibrate, grid
 from baggie.errors import BaggieError, CalibrationError, DataError
 from baggie.geometry import Rectangle, apply_homography, wrap_angle
 from baggie.policies.keypoint.policy import KeypointNet, KeypointPolicy, as_calibration

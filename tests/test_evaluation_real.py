@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baggie.collect.calibrate import calibrate
 from baggie.collect.machine import detect
+from baggie.commissioning.image_to_robot import calibrate
 from baggie.errors import BaggieError, BaggieWarning
 from baggie.evaluation import terms as module
 from baggie.evaluation.closed_loop import EvaluateOptions

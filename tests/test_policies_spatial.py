@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baggie.collect.calibrate import calibrate
 from baggie.collect.machine import detect
+from baggie.commissioning.image_to_robot import calibrate
 from baggie.errors import DataError
 from baggie.geometry import PlanarPose, apply_homography
 from baggie.policies.keypoint import heads as phase

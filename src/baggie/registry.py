@@ -166,6 +166,7 @@ TASKS: Registry[Task] = Registry(
     "baggie.tasks",
     {
         "bag-place": "baggie.tasks.bag_place:BAG_PLACE",
+        "bag-stack": "baggie.tasks.bag_stacks:BAG_STACK",
         "bag-tower": "baggie.tasks.bag_stacks:BAG_TOWER",
         "bag-pyramid": "baggie.tasks.bag_stacks:BAG_PYRAMID",
         "bag-layers": "baggie.tasks.bag_stacks:BAG_LAYERS",

@@ -9,15 +9,17 @@
      └─────────────┼─────────────┘
                 STOPPED  (nobody helped)
 
-MOVE is the workcell's own pick (with its check of the gripper's width), carry and place.
+MOVE is the workcell's own pick (with its check of the gripper's width), carry and place. What FIND, PLAN and CHECK do
+with what is seen is a `Play`'s: `Scatter` takes one object about, `baggie.collect.stacking.Stacking` builds of several.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Protocol
 
 import numpy as np
 
@@ -26,14 +28,13 @@ from baggie.errors import BaggieError, LimitError, NobodyError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
 from baggie.operator import Operator, errand
 from baggie.robot.handling_rules import ROOM_M
+from baggie.robot.limits import MARGIN_M
 from baggie.seeds import first_fit
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection, find_bag
-from baggie.workcell.workcell import Workcell, WorkcellSettings
+from baggie.workcell.workcell import Color, Workcell, WorkcellSettings
 
 MIN_DISTANCE_M = 0.20
-MARGIN_M = 0.03
-"""Between any place and the workspace's edge: a soft bag lands up to this far from where it is let go."""
 FALSE_45_RAD = math.radians(7)
 """Readings this close to 45 degrees are doubted."""
 
@@ -118,6 +119,22 @@ class Phase(Enum):
     STOPPED = "stopped"
 
 
+class Play(Protocol):
+    """What the robot does with what it sees; it may remember that from one turn to the next."""
+
+    def find(self, turn: Turn) -> str:
+        """Take note of what the picture before shows; what is amiss there, in one line for a person, or nothing."""
+        ...
+
+    def plan(self, turn: Turn) -> str:
+        """Choose the turn's action; why there is none, in one line for a person, or nothing."""
+        ...
+
+    def judge(self, turn: Turn) -> Failure | None:
+        """Take note of what the picture after shows; what went wrong, by that or by the outcome so far."""
+        ...
+
+
 @dataclass
 class Turn:
     """What one turn knows; every phase reads and adds to it."""
@@ -126,10 +143,13 @@ class Turn:
     image_to_robot: ImageToRobot
     rng: np.random.Generator
     operator: Operator
+    play: Play = field(default_factory=lambda: Scatter())  # noqa: PLW0108 -- it is defined below
     doubted_before: bool = False
     """Whether the turn before read 45 degrees and did not believe it."""
     seen: Observation | None = None
     """What was seen just before this turn; the cell is as it was."""
+    color: Color | None = None
+    """RGB of the object that was chosen, where several lie about."""
     before: Observation | None = None
     found: Detection | None = None
     pose: PlanarPose | None = None
@@ -139,6 +159,10 @@ class Turn:
     outcome: Outcome | None = None
     after: Observation | None = None
     found_after: Detection | None = None
+    layers: tuple[int, int] | None = None
+    """How many bags lie below the pick and below the place, where anybody counts."""
+    under: tuple[PlanarPose, ...] = ()
+    """Where those lie that it is placed on."""
     truth_before: PlanarPose | None = None
     """The truth, where somebody knows it: it is recorded, and never looked at."""
     tries: int = 0
@@ -146,6 +170,10 @@ class Turn:
     rescues: int = 0
     trouble: str = ""
     """What a person is told, when asked or when everything stops."""
+
+    def truth(self) -> PlanarPose | None:
+        """Where the object that was chosen is now, where somebody knows it."""
+        return self.cell.truth(self.color)
 
     def detect(self, observation: Observation) -> tuple[Detection, PlanarPose] | tuple[None, None]:
         """The object in a picture, in pixels and in the robot's base frame."""
@@ -155,40 +183,24 @@ class Turn:
 def look(turn: Turn) -> Phase:
     """Take a picture with the arm out of the way, unless the one after the turn before still shows all."""
     turn.before, turn.seen = turn.seen or turn.cell.look(), None
-    turn.truth_before = turn.cell.truth()
     turn.looks += 1
     return Phase.FIND
 
 
 def find(turn: Turn) -> Phase:
-    """Find the object by its colour."""
-    assert turn.before is not None
-    turn.found, turn.pose = turn.detect(turn.before)
-    if turn.found is None:
-        turn.trouble = "the object is not in sight: put it back into the workspace"
+    """Find what there is by its colour."""
+    if trouble := turn.play.find(turn):
+        turn.trouble = trouble
         return Phase.RECOVER
     return Phase.PLAN
 
 
 def plan(turn: Turn) -> Phase:
-    """Grip it where it lies, or where it can still be reached; put it down elsewhere, squared up."""
-    assert turn.pose is not None
-    settings, pose = turn.cell.settings, turn.pose
-    reach = ROOM_M if settings.object_hard else min(settings.object_size_m[:2]) / 3
-    grip = nearest_grip(settings.limits.workspace, pose.x, pose.y, reach)
-    if grip is None:
-        turn.trouble = (
-            f"the object at x {pose.x:.2f} m, y {pose.y:.2f} m is out of reach: "
-            f"put it back into the workspace, {settings.workspace}"
-        )
+    """Choose what to take where."""
+    if trouble := turn.play.plan(turn):
+        turn.trouble = trouble
         return Phase.ASK
-    long = settings.object_symmetry == LONG
-    # What was not grasped one way is tried the other: a hard square at 45 degrees goes into no hand that stays square.
-    believed = turn.doubted_before != (turn.tries % 2 == 1)
-    turn.doubted = not long and false_45(pose.yaw) and not believed
-    pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, believed))
-    place = random_place(settings.workspace, pick, turn.rng)
-    turn.action = PickPlace(pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place)
+    turn.truth_before = turn.truth()
     return Phase.MOVE
 
 
@@ -228,14 +240,63 @@ def ask(turn: Turn) -> Phase:
 def check(turn: Turn) -> Phase:
     """Look again: is the object where it was let go?"""
     assert turn.outcome is not None
-    assert turn.pose is not None
     turn.after = turn.cell.look()
-    turn.found_after, landed = turn.detect(turn.after)
-    failure = turn.outcome.failure or _landing(turn.pose, turn.outcome.executed.place, landed, turn.doubted)
-    if failure is None and landed is not None and turn.cell.watch is not None:
-        turn.cell.watch.landed(turn.outcome.executed.place, landed)
-    turn.outcome = replace(turn.outcome, failure=failure, tries=turn.tries)
+    turn.outcome = replace(turn.outcome, failure=turn.play.judge(turn), tries=turn.tries)
     return Phase.RECORD
+
+
+class Scatter:
+    """Takes the one object that there is to random places, squared up."""
+
+    def find(self, turn: Turn) -> str:
+        """Find the object by its colour."""
+        assert turn.before is not None
+        turn.found, turn.pose = turn.detect(turn.before)
+        return "the object is not in sight: put it back into the workspace" if turn.found is None else ""
+
+    def plan(self, turn: Turn) -> str:
+        """Grip it where it lies, or where it can still be reached; put it down elsewhere, squared up."""
+        assert turn.pose is not None
+        settings, pose = turn.cell.settings, turn.pose
+        grip = within_reach(settings, pose)
+        if grip is None:
+            return out_of_reach(settings, pose)
+        long = settings.object_symmetry == LONG
+        # What was not grasped one way is tried the other: no hand that stays square takes a hard square at 45 degrees.
+        believed = turn.doubted_before != (turn.tries % 2 == 1)
+        turn.doubted = not long and false_45(pose.yaw) and not believed
+        pick = PlanarPose(*grip, pose.yaw if long else grip_yaw(pose.yaw, believed))
+        place = random_place(settings.workspace, pick, turn.rng)
+        turn.action = PickPlace(
+            pick, replace(place, yaw=long_place_yaw(pick.yaw, turn.rng)) if long else place
+        )
+        return ""
+
+    def judge(self, turn: Turn) -> Failure | None:
+        """See whether it lies where it was let go."""
+        assert turn.after is not None
+        assert turn.outcome is not None
+        assert turn.pose is not None
+        turn.found_after, landed = turn.detect(turn.after)
+        released = turn.outcome.executed.place
+        failure = turn.outcome.failure or _landing(turn.pose, released, landed, turn.doubted)
+        if failure is None and landed is not None and turn.cell.watch is not None:
+            turn.cell.watch.landed(released, landed)
+        return failure
+
+
+def within_reach(settings: WorkcellSettings, pose: PlanarPose) -> tuple[float, float] | None:
+    """The nearest point to an object's middle where the hand may still grip it, metres; None where there is none."""
+    reach = ROOM_M if settings.object_hard else min(settings.object_size_m[:2]) / 3
+    return nearest_grip(settings.limits.workspace, pose.x, pose.y, reach)
+
+
+def out_of_reach(settings: WorkcellSettings, pose: PlanarPose) -> str:
+    """What a person is told of an object that lies there."""
+    return (
+        f"the object at x {pose.x:.2f} m, y {pose.y:.2f} m is out of reach: "
+        f"put it back into the workspace, {settings.workspace}"
+    )
 
 
 def _landing(

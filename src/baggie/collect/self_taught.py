@@ -20,10 +20,11 @@ import numpy as np
 from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.calibrate import calibrate_into
-from baggie.collect.machine import Turn, helped, run_turn, stopped
+from baggie.collect.machine import Play, Scatter, Turn, helped, run_turn, stopped
 from baggie.collect.patience import Patience
 from baggie.collect.recording import OpenCell, Recording, Size, open_simulated_cell
+from baggie.collect.stacking import Stacking
+from baggie.commissioning.image_to_robot import calibrate_into
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER, PHYSICS
 from baggie.data.record import fit, without_depth
@@ -39,7 +40,7 @@ from baggie.types import Attempt, Observation, Truth
 from baggie.vision.color_mask import Detection
 from baggie.workcell.config import open_written
 from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.workcell import Watch, Workcell
+from baggie.workcell.workcell import Watch, Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import SIMULATED, WorkcellFile, read_workcell_file
 
 COVERAGE_FILE = "coverage.png"
@@ -51,6 +52,8 @@ Sit = Callable[[Ids], Iterable[list[Attempt]]]
 ATTEMPTS_PER_SITTING = 10
 SIMULATED_PHYSICS = 2
 """Of soft things, as recordings say it: it rises whenever the same seed comes to give other attempts."""
+SQUARE = 4
+"""The symmetry of a square bag."""
 STALL_AFTER = 5
 """Attempts in a row without a success before a person is asked."""
 
@@ -255,12 +258,13 @@ def run_sitting(
     cell.reset((seeds.COLLECTION, recording.seed, number))
     begun_at = (first,) if first else ()  # or places would be the first ones over again
     rng = seeds.generator(seeds.PLACES, recording.seed, number, *begun_at)
+    play: Play = Stacking(image_to_robot, cell.settings, rng) if cell.settings.object_colors else Scatter()
     doubted = rescued = False
     seen: Observation | None = None
     failures = 0
     for index in range(first, ATTEMPTS_PER_SITTING):
         time = cell.clock()
-        turn = run_turn(Turn(cell, image_to_robot, rng, operator, doubted_before=doubted, seen=seen))
+        turn = run_turn(Turn(cell, image_to_robot, rng, operator, play, doubted, seen))
         doubted, seen = turn.doubted, turn.after
         attempt = as_attempt(turn, recording, number * ATTEMPTS_PER_SITTING + index, time)
         yield attempt
@@ -303,15 +307,23 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
         cell=recording.cell,
         seed=recording.seed,
         time=time,
-        object_symmetry=turn.cell.settings.object_symmetry,
+        object_symmetry=looks_alike(turn.cell.settings),
         truth=_truth(turn),
+        pick_layer=turn.layers[0] if turn.layers else None,
+        place_layer=turn.layers[1] if turn.layers else None,
+        under=turn.under,
     )
     return fit(attempt if recording.depth else without_depth(attempt), recording.size)
 
 
+def looks_alike(settings: WorkcellSettings) -> int:
+    """How often a turn a workcell's object looks the same; several are square bags, which are turned as it is said."""
+    return SQUARE if settings.object_colors else settings.object_symmetry
+
+
 def _truth(turn: Turn) -> Truth | None:
     """Where the object was before and is now, where somebody knows it."""
-    after = turn.cell.truth()
+    after = turn.truth()
     return Truth(turn.truth_before, after) if turn.truth_before and after else None
 
 

@@ -13,7 +13,7 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison
-from baggie.commissioning.image_to_robot import MARGIN_M, marker_finder, parse_marker, visit
+from baggie.commissioning.image_to_robot import marker_finder, parse_marker, visit
 from baggie.commissioning.session import Session, open_session
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
@@ -21,6 +21,7 @@ from baggie.geometry import FloatArray, ToolPose, transform_points
 from baggie.operator import Operator
 from baggie.options.commissioning import CheckOptions
 from baggie.pictures import read_picture
+from baggie.robot.limits import MARGIN_M
 from baggie.vision.targets import ArucoMarker, parse_target
 from baggie.workcell.workcell import Watch, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file

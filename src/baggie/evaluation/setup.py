@@ -11,8 +11,8 @@ from typing import Any
 
 from baggie.calibration.files import MAP_FILE, REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.collect.calibrate import calibrate_into
 from baggie.collect.machine import detect
+from baggie.commissioning.image_to_robot import calibrate_into
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose

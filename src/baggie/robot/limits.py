@@ -20,6 +20,8 @@ from baggie.robot.arm import Arm, ArmInfo, foresee, hand_pose
 PERIOD_S = 0.05
 WORKSPACE = Rectangle(0.35, 0.65, -0.30, 0.30)
 """Where objects may be picked and placed unless a file says otherwise; robot base frame, metres."""
+MARGIN_M = 0.03
+"""Between any place and the workspace's edge: a soft bag lands up to this far from where it is let go."""
 
 
 class BarkError(CameraError):

@@ -1,4 +1,4 @@
-"""Loose bags are stacked in a pattern at a site: `bag-tower`, `bag-pyramid` and `bag-layers`."""
+"""Loose bags are stacked in a pattern at a site: `bag-tower`, `bag-pyramid` and `bag-layers`; at will: `bag-stack`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SYMMETRY = 2
 """Half a turn comes to the same, and not a quarter, by which a bag looks the same, too: across a row the hand's fingers
 have to open, so that a bag bridges the gap below it.
 """
-_HUES = (358, 50, 210, 272, 25, 175, 90, 240)
+_HUES = (358, 50, 210, 272, 90, 175, 25, 240)
 """Degrees: of bags by their number, well apart and none of them the goal card's or the paddle's."""
 _SITE_GAP_M, _GAP_M = 0.02, 0.004
 """Between a pattern and what lies about it, and between two loose bags."""
@@ -153,6 +153,26 @@ def _task(pattern: Pattern, *, name: str, instruction: str) -> Task:
         workspace=WORKSPACE,
     )
 
+
+def _lie_about(rng: np.random.Generator, setting: Setting) -> Scene:
+    bags = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    poses, _ = lay_about(bags, Pattern.parse("tower:1"), setting.workspace, rng)
+    return Scene(bags, poses)
+
+
+BAG_STACK = Task(
+    name="bag-stack",
+    instruction="Lay the bean bag onto the goal, on the table or on other bags.",
+    tool="hand",
+    view="camera",
+    things=colored_bags(6),
+    draw_scene=_lie_about,
+    max_steps=SPARE_STEPS,
+    object_symmetry=_SYMMETRY,
+    has_goal=True,
+    workspace=WORKSPACE,
+)
+"""What the robot teaches itself: it builds towers and pyramids of six bags, and takes them apart."""
 
 # By keyword, as the commands' help reads names and instructions from this text.
 BAG_TOWER = _task(

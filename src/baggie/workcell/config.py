@@ -20,7 +20,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
 from baggie.robot.arm import Arm, let_go
 from baggie.robot.limits import Watchdog
-from baggie.workcell.workcell import Calibrations, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Calibrations, Color, Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import CalibrationFiles, WorkcellFile, read_workcell_file
 
 
@@ -45,7 +45,7 @@ class RealWorkcell(Workcell):
         """Put down what the hand still holds; whether that was where the object was."""
         return self.put_down()
 
-    def truth(self) -> None:
+    def truth(self, color: Color | None = None) -> None:
         """Nobody knows where the object really is."""
 
     def show_paddle(self, shown: bool) -> None:

@@ -20,7 +20,7 @@ from baggie.sim.cell import PICTURE_SIZE, draw_cell
 from baggie.sim.objects import SceneObject
 from baggie.sim.renderer import Film
 from baggie.sim.sensor import Exposure
-from baggie.sim.variety import lay_bags
+from baggie.sim.variety import lay_bags, random_pose
 from baggie.sim.world import World
 from baggie.tasks.conditions import State
 from baggie.tasks.demonstrator import next_action, varied_action
@@ -30,10 +30,11 @@ from baggie.types import Image, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.vision.targets import Target
 from baggie.workcell.simulated_cameras import NoPictures, SimulatedCamera, SimulatedHeightMap, SimulatedView
-from baggie.workcell.workcell import Workcell, WorkcellSettings
+from baggie.workcell.workcell import Color, Workcell, WorkcellSettings
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
+_DRAWN = 200
 _STRAY_M = 0.01  # the arm is not quite where it was sent, at the workspace's edge too
 
 
@@ -170,9 +171,10 @@ class SimulatedWorkcell(Workcell):
             {name: body.points for name, body in world.bodies.items() if isinstance(body, SoftBody)},
         )
 
-    def truth(self) -> PlanarPose:
-        """Where the object that is carried is now: its true centre and yaw."""
-        return self.world.planar_pose(self.scene.carried.name)
+    def truth(self, color: Color | None = None) -> PlanarPose:
+        """Where the object that is carried is now, or that of this colour (RGB): its true centre and yaw."""
+        colored = (each.name for each in self.scene.things if isinstance(each, Bag) and each.color == color)
+        return self.world.planar_pose(next(colored, self.scene.carried.name))
 
     def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:
         """What a demonstrator who knows where everything is does next; None when all is done, strictly.
@@ -247,13 +249,35 @@ class SimulatedWorkcell(Workcell):
         self.world.put(self.scene.carried.name, pose)
 
     def rescue(self) -> bool:
-        """What a person would do: lay the lost bag back on the table, its dents with it."""
+        """What a person would do: lay the lost bag back on the table, its dents with it.
+
+        Of several bags those that strayed, each to a free place; False where none did.
+        """
         state = self.state()
+        if self.settings.object_colors:
+            return self._lay_back(state)
         in_the_way = [*state.obstacles, *(state.places[name] for name in self.scene.staying)]
         pose, _ = lay_bags(self.settings.workspace, in_the_way, two=False, rng=self._rng)
         self.lay_aside(pose)
         self.world.advance(1.0)
         return True
+
+    def _lay_back(self, state: State) -> bool:
+        """Lay the bags that strayed out of the hand's reach back on the table; whether any did."""
+        names = [thing.name for thing in self.scene.things if thing.movable]
+        area, places = self.settings.limits.workspace, dict(state.places)
+        strayed = [name for name in names if not area.contains(*places[name].xy)]
+        for name in strayed:
+            del places[name]
+            places[name] = self._free_place(list(places.values()))
+            self.world.put(name, places[name])
+            self.world.advance(1.0)
+        return bool(strayed)
+
+    def _free_place(self, others: Sequence[PlanarPose]) -> PlanarPose:
+        """A place in the workspace beside others; of those drawn the freest."""
+        drawn = [random_pose(self.settings.workspace, self._rng) for _ in range(_DRAWN)]
+        return max(drawn, key=lambda pose: min(pose.distance(other) for other in others))
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -273,8 +297,11 @@ def _settings(task: Task, things: Sequence[SceneObject], cell: int) -> WorkcellS
         settings = WorkcellSettings(name=f"sim cell {cell}", workspace=task.workspace)
         bags = [thing for thing in things if isinstance(thing, Bag)]
         described = _describing(bags[0], settings) if bags else settings
-        # Where the task itself says where things go, it says by which yaws of the hand, too.
-        return described if task.has_goal else replace(described, object_symmetry=task.object_symmetry)
+        if task.has_goal and len(bags) < 2:
+            return described
+        # Where there are several, or the task itself says where they go, it says by which yaws of the hand, too.
+        colors = tuple(bag.color for bag in bags) if task.has_goal else ()
+        return replace(described, object_symmetry=task.object_symmetry, object_colors=colors)
     largest = max(task.blocks, key=lambda block: block.size_m)
     return WorkcellSettings(
         name=f"sim cell {cell}, {task.name}",

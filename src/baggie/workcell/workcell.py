@@ -115,6 +115,10 @@ _OPEN_M = 0.005
 """A hand that is so near to as wide as it opens is empty: what it goes over is narrower by more."""
 
 
+Color = tuple[int, int, int]
+"""RGB."""
+
+
 @dataclass(frozen=True)
 class Marker:
     """The calibration paddle: a coloured disk in front of the fingertips, at their height."""
@@ -141,7 +145,9 @@ class WorkcellSettings:
         )
     )
     handling: Handling = field(default_factory=Handling)
-    object_color: tuple[int, int, int] = (196, 40, 44)
+    object_color: Color = (196, 40, 44)
+    object_colors: tuple[Color, ...] = ()
+    """RGB of all bags that lie about, each another; empty where there is one, of `object_color`."""
     object_size_m: tuple[float, float, float] = (0.12, 0.12, 0.03)
     """Length, width and resting height."""
     object_hard: bool = False
@@ -209,8 +215,8 @@ class Workcell:
         """Where everything is now; None where nobody knows. Moves nothing and looks at nothing."""
         return None
 
-    def truth(self) -> PlanarPose | None:
-        """Where the object that is carried is now; None where nobody knows."""
+    def truth(self, color: Color | None = None) -> PlanarPose | None:
+        """Where the object that is carried is now, or that of this colour (RGB); None where nobody knows."""
         state = self.state()
         return None if state is None or self.scene is None else state.places[self.scene.carried.name]
 
