@@ -113,8 +113,8 @@ class Stacking:
         self._site: _Site | None = None
         self._apart = False
         """Whether it is being taken apart."""
-        self._searching = False
-        """Whether a bag is out of sight, and others are put aside to find it."""
+        self._hidden = 0
+        """How many bags are out of sight, and others are put aside to find them."""
         self._move: _Move | None = None
         self._seen: dict[int, Detection] = {}
 
@@ -124,11 +124,19 @@ class Stacking:
         """Take note of where bags are seen; the trouble where one is neither in sight nor under another."""
         assert turn.before is not None
         self._take_note(turn.before)
+        if self._move is not None and turn.outcome is not None and turn.outcome.failure == "missed-grasp":
+            self._missed(self._move.bag)
         missing = [n for n in range(len(self._settings.object_colors)) if n not in self._seen]
         hidden = [n for n in missing if not self._carries(n)]
-        if hidden and not self._searching:
-            self.lying = {n: replace(each, sure=False) for n, each in self.lying.items() if n not in hidden}
-        self._searching = bool(hidden)
+        if hidden and not self._hidden:  # they may lie under any other
+            self.lying = {
+                n: replace(each, sure=False, layer=max(each.layer, len(hidden)))
+                for n, each in self.lying.items()
+                if n not in hidden
+            }
+        if self._hidden and not hidden:  # what lies alone, all of it in sight, lies on the table
+            self.lying.update({n: Lying(at) for n in self._on_top() if (at := self._alone(n))})
+        self._hidden = len(hidden)
         if hidden and not any(not self.lying[n].sure for n in self._on_top()):
             color = self._settings.object_colors[hidden[0]]
             return f"the bag of colour RGB {color} is not in sight: put it back into the workspace"
@@ -164,7 +172,7 @@ class Stacking:
         if below:
             layer = min(1 + max(self.lying[n].layer for n in below), _MOST_LAYERS - 1)
             return Lying(self._where(seen, layer), layer, tuple(below), sure=False)
-        return Lying(at, sure=self._looks_whole(seen, at))
+        return Lying(at, self._hidden, sure=self._looks_whole(seen, at) and not self._hidden)
 
     def _where(self, seen: Detection, layer: int) -> PlanarPose:
         """The pose of a bag seen in a layer, robot base frame; its yaw modulo a quarter turn."""
@@ -177,6 +185,14 @@ class Stacking:
         u, v = outline.T
         area = abs(float(np.dot(u, np.roll(v, -1)) - np.dot(v, np.roll(u, -1)))) / 2
         return seen.area_px >= _WHOLE * area
+
+    def _alone(self, number: int) -> PlanarPose | None:
+        """Where on the table a bag lies that is seen whole, and no other near it."""
+        if number not in self._seen:
+            return None
+        at = self._where(self._seen[number], 0)
+        near = any(each.pose.distance(at) < _OVER_M for n, each in self.lying.items() if n != number)
+        return at if self._looks_whole(self._seen[number], at) and not near else None
 
     def _carries(self, number: int) -> bool:
         return any(number in each.on for each in self.lying.values())
@@ -229,8 +245,7 @@ class Stacking:
         turn.found_after = self._seen.get(move.bag)
         landed = self.lying.get(move.bag)
         if not held:
-            if landed is not None:  # what was believed of it may be wrong
-                self.lying[move.bag] = replace(landed, sure=False)
+            self._missed(move.bag)
             return failure
         if landed is None or turn.found_after is None:
             return "lost-bag"
@@ -241,6 +256,12 @@ class Stacking:
             return failure or "stalled"
         # Fingers that held a thin fold seem empty; where it is seen to lie tells whether it was lost on the way.
         return "dropped" if landed.pose.distance(turn.outcome.executed.place) > _OFF_M else None
+
+    def _missed(self, bag: int) -> None:
+        """Doubt what is believed of a bag that was not there; the second time it lies lower."""
+        if bag in self.lying:
+            lies = self.lying[bag]
+            self.lying[bag] = replace(lies, sure=False, layer=max(lies.layer - (not lies.sure), 0))
 
     def _score(self, move: _Move, landed: Lying) -> None:
         """Take note of whether a slot is filled now."""
@@ -315,7 +336,7 @@ class Stacking:
 
     def _aside(self, bag: int) -> _Move:
         """A free place on the table for a bag: the freest of those drawn where none is free."""
-        others = [each.pose for n, each in self.lying.items() if n != bag]
+        others = [each.pose for n, each in self.lying.items() if n != bag or not each.sure]
 
         def room(pose: PlanarPose) -> float:
             return min((pose.distance(other) for other in others), default=math.inf)

@@ -150,21 +150,10 @@ _PICTURES = pa.schema(
         ("after_height", pa.binary()),
     ]
 )
-_LATER: Mapping[str, int | None] = {
-    "episode": None,
-    "step": 0,
-    "reward": None,
-    "before_grid": None,
-    "after_grid": None,
-    "before_height": None,
-    "after_height": None,
-    "object_symmetry": None,
-    "commanded_heights": None,
-    "executed_heights": None,
-    "pick_layer": None,
-    "place_layer": None,
-    "under": None,
-}
+_LATER: Mapping[str, int | None] = {"step": 0} | dict.fromkeys(
+    ("episode", "reward", "before_grid", "after_grid", "before_height", "after_height", "object_symmetry")
+    + ("commanded_heights", "executed_heights", "pick_layer", "place_layer", "under")
+)
 """The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
 """The columns of `attempts/`; docs/data-format.md says what each is."""
