@@ -258,7 +258,7 @@ def test_what_is_pointed_at_is_looked_for_as_far_as_its_middle_and_no_further_th
     view = View.around(to_pixels(np.c_[edges, np.full(4, BAG_HEIGHT_M)], size), size)
     asked = []
 
-    def read(images, near, corners):
+    def read(images, near, corners, layers):
         asked.append(near)
         share = np.ones(2, np.float32)
         return Reading(np.zeros((2, 2)), 0.0, 4.0, share, share, np.ones((2, 4, 4), np.float32), corners)

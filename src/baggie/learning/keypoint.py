@@ -228,8 +228,8 @@ class KeypointRecipe(Recipe):
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Huber's loss on centimetres, cross-entropy to a round heat map, squared distances of phases.
 
-        Where several objects lie about, the pick is read near the one that was picked, as of one that is pointed at when
-        it is planned; its heat map is judged as a whole, so that its peak is at one that can be picked.
+        Where several objects lie about, the pick is read near the one that was picked, as if it were pointed at; its
+        heat map is judged as a whole, so that its peak is at one that can be picked.
         """
         found: Keypoints = network(
             batch["images"], batch["to_picture"], batch.get("near"), batch.get("layers")

@@ -104,9 +104,10 @@ class ExportedKeypoint(ExportedPolicy):
 
     def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32, layers: Float32) -> Reading:
         """Run the network; see `KeypointRead`."""
-        given = {"images": images, "near": near, "corners": corners}
-        above = {"layers": layers} if self.knows_layers else {}
-        return Reading(*self.graph.run(Reading._fields, given | above))
+        given: dict[str, NDArray[Any]] = {"images": images, "near": near, "corners": corners}
+        if self.knows_layers:
+            given["layers"] = layers
+        return Reading(*self.graph.run(Reading._fields, given))
 
 
 class ExportedRegression(ExportedPolicy):

@@ -292,9 +292,8 @@ class KeypointReader(nn.Module):
             share[0],
             self.network.radius(found)[0],
             heat[0],
-            self.network.to_robot(
-                corners
-            ),  # as on the table: their sides' directions and ratio count, which a layer keeps
+            # As on the table: a layer scales the goal, and turns no side of it.
+            self.network.to_robot(corners),
         )
 
 
