@@ -235,6 +235,20 @@ def test_of_two_bags_the_one_pointed_at_is_picked_and_places_are_right_in_any_la
     below("without anybody pointing, to the nearer bag (m)", max(chosen), 0.04)
 
 
+def test_nobody_has_to_point_at_one_of_many_bags_and_an_empty_table_is_told_from_them(stacker, below):
+    rng = np.random.default_rng(8)
+    goal = Goal(box_corners(PlanarPose(0.5, 0.0), SIZE))
+    places = [PlanarPose(x, y) for x in (0.4, 0.6) for y in (-0.2, -0.07, 0.06, 0.2)]
+    colors = (*COLORS, *((b, r, g) for r, g, b in COLORS))
+    many = [Lying(pose, 0, color) for pose, color in zip(places, colors, strict=True)]
+    alone, among = (stacker.plan(observe_bags(bags, rng, SIZE), goal) for bags in (many[:1], many))
+    below("of many bags, to the nearest (m)", min(among.action.pick.distance(pose) for pose in places), 0.02)
+    below("1 - confidence among many", 1 - among.confidence, 0.7)
+    below("1 - confidence alone", 1 - alone.confidence, 0.7)
+    with pytest.raises(BaggieError, match="no bag in sight"):
+        stacker.plan(observe_bags([], rng, SIZE), goal)
+
+
 def test_labels_of_stacks_are_exact_in_their_layers_and_what_was_picked_is_pointed_at():
     recipe = KeypointRecipe(STACKING)
     layers = set()

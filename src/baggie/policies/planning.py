@@ -120,6 +120,8 @@ CELLS_TO_INPUT: FloatArray = np.array(
 
 _IN_SIGHT = 0.15
 """With a bag in sight this share of the pick's heat map, and far more, is at its peak; on an empty table, 0.05."""
+_SPREAD_OUT = 0.35
+"""Of a heat map's cells: eight bags in sight spread it over as many as 12% of them, an empty table over 75%."""
 _VIEW_SCALE = 4
 """Heat maps are shown at a quarter of the picture's size."""
 POINTED_CELLS = 10.0
@@ -211,9 +213,10 @@ def keypoint_plan(
 
     The pick's yaw is that of the object's sides, the long ones where it has any; the place's that of the goal's, turned
     by whole symmetries so that the hand turns least. Confidence is the share of the heat maps' weight near the points,
-    the smaller of the two. Heights are counted by the goal's layers. Raises `BaggieError` when no bag is in sight, when
-    the goal, or what is pointed at, lies outside the part of the picture in which the training attempts took place, and
-    for layers above the table unless the network knows them (`knows_layers`).
+    the smaller of the two. A network that knows layers (`knows_layers`) knows several bags: where nobody points at one,
+    it takes the one at the heat map's peak, and says how sure it is of where that is. Heights are counted by the goal's
+    layers. Raises `BaggieError` when no bag is in sight, when the goal, or what is pointed at, lies outside the part of
+    the picture in which the training attempts took place, and for layers above the table unless the network knows them.
     """
     size = require_observation(observation).size
     if not knows_layers:
@@ -227,12 +230,20 @@ def keypoint_plan(
         near = np.array([*cell, POINTED_CELLS], np.float32)
     image = goal_input.network_input(view.cut(picture), view.goal_to_input(goal))
     corners = apply_homography(view.normalize(), goal.corners).astype(np.float32)
-    found = read(image[None], near, corners, np.array([goal.object_layer, goal.layer], np.float32))
-    sure = float(found.share.min())
-    if found.share[0] < _IN_SIGHT:
+    layers = np.array([goal.object_layer, goal.layer], np.float32)
+    found = read(image[None], near, corners, layers)
+    share, heat = found.share[0], found.heat[0]
+    in_sight = share >= _IN_SIGHT
+    if knows_layers and goal.object_at is None:
+        # Several bags that can be picked share the heat map; the one at its peak is as if it were pointed at.
+        in_sight = 1 / np.square(heat).sum() < _SPREAD_OUT * heat.size
+        v, u = np.unravel_index(heat.argmax(), heat.shape)
+        found = read(image[None], np.array([u, v, POINTED_CELLS], np.float32), corners, layers)
+    if not in_sight:
         raise BaggieError(
-            f"no bag in sight: only {found.share[0]:.0%} of the heat map is at its peak; put one into the workspace"
+            f"no bag in sight: only {share:.0%} of the heat map is at its peak; put one into the workspace"
         )
+    sure = float(found.share.min())
     pick = PlanarPose(float(found.xy[0, 0]), float(found.xy[0, 1]), float(found.yaw))
     yaw = place_yaw(found.goal_xy.astype(float), int(found.symmetry), pick.yaw)
     place = PlanarPose(float(found.xy[1, 0]), float(found.xy[1, 1]), yaw)
