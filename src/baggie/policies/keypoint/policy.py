@@ -192,8 +192,9 @@ class KeypointNet(nn.Module):
         maps stay whole. `layers` `(B, 2)` of pick and place: both on the table unless given.
         """
         logits, field = self.fields(images)
-        looked_at = logits if near is None else picked_near(logits, near)
-        return self.read(looked_at, field, to_picture, layers)._replace(logits=logits)
+        if near is None:
+            return self.read(logits, field, to_picture, layers)
+        return self.read(picked_near(logits, near), field, to_picture, layers)._replace(logits=logits)
 
     def fields(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """`(B, C, H, W)` uint8 -> heat map logits `(B, 2, H / 2, W / 2)`, phases `(B, 4, H / 4, W / 4)`."""
