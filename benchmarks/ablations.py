@@ -44,8 +44,8 @@ class FullyConnectedNet(KeypointNet):
         height, width = logits.shape[-2:]
         return self.head(logits).view(-1, 2, 2).sigmoid() * torch.tensor([width - 1.0, height - 1.0])
 
-    def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Any:
-        found = super().read(logits, field, to_picture)
+    def read(self, logits: Tensor, field: Tensor, to_picture: Tensor, layers: Tensor | None = None) -> Any:
+        found = super().read(logits, field, to_picture, layers)
         return found._replace(logits=logits[:, :2])
 
 

@@ -120,7 +120,8 @@ def _error(policy: KeypointPolicy, attempt: Attempt) -> FloatArray:
     goal, view = goal_of(attempt), policy.view
     image = policy.goal_input.network_input(view.cut(attempt.before.color), view.goal_to_input(goal))
     corners = apply_homography(view.normalize(), goal.corners)
-    found = policy.read(image[None], np.array([0, 0, 1e4], np.float32), corners.astype(np.float32))
+    anywhere, on_table = np.array([0, 0, 1e4], np.float32), np.zeros(2, np.float32)
+    found = policy.read(image[None], anywhere, corners.astype(np.float32), on_table)
     assert attempt.truth is not None
     truth = np.stack([attempt.truth.before.xy, attempt.truth.after.xy])
     pick = replace(attempt.truth.before, yaw=float(found.yaw))

@@ -448,6 +448,10 @@ def test_a_learned_map_becomes_a_calibration_and_can_be_compared():
     assert (learned.height_m, learned.camera.size) == (0.015, (640, 360))
     true = fitted(known=True, noise_px=0.0)
     assert compare_maps(true, learned).rms_mm < 0.5
+    with torch.no_grad():
+        policy.network.to_robot.lift.copy_(torch.tensor([0.01, 0.002, 0.022]))
+    from_stacks = as_calibration(policy, 0.015)
+    np.testing.assert_array_equal(from_stacks.to_robot(pixels), learned.to_robot(pixels))  # on the table
 
 
 def test_an_untrained_map_is_no_calibration():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from baggie.commissioning.image_to_robot import grid
 from baggie.errors import BaggieError, DataError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.policies.baselines import ColorMaskPolicy
-from baggie.types import Goal, Observation
+from baggie.types import LAYER_M, Goal, Observation
 from helpers.fake_workcell import FakeCell
 
 SIZE = (640, 360)
@@ -28,10 +30,29 @@ def policy(cell: FakeCell) -> ColorMaskPolicy:
     return ColorMaskPolicy(fitted, cell.settings.object_color)
 
 
-def goal_at(cell: FakeCell, pose: PlanarPose) -> Goal:
+def goal_at(cell: FakeCell, pose: PlanarPose, z: float = BAG_Z) -> Goal:
     square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.06
     table = np.c_[square, np.ones(4)] @ pose.matrix().T
-    return Goal(cell.camera.project(np.c_[table[:, :2], np.full(4, BAG_Z)]))
+    return Goal(cell.camera.project(np.c_[table[:, :2], np.full(4, z)]))
+
+
+def test_a_map_of_all_heights_places_on_stacks_and_one_of_the_table_does_not(cell, policy):
+    cell.reset((4,))
+    target = PlanarPose(0.42, 0.2, 0.3)
+    goal = replace(goal_at(cell, target, 2.5 * LAYER_M), layer=2)
+    with pytest.raises(BaggieError, match="fitted at one height only") as error:
+        policy.plan(cell.look(), goal)
+    assert "\n" not in str(error.value)
+    robot = np.concatenate([grid(cell.settings.workspace, 0.02, (z,)) for z in (BAG_Z, 0.1)])
+    fitted = ImageToRobot.fit(cell.camera.project(robot), robot, CameraIdentity("top", *SIZE))
+    action = ColorMaskPolicy(fitted, policy.object_color).plan(cell.look(), goal).action
+    assert action.place.distance(target) < 0.002
+    assert (action.pick_on_m, action.place_on_m) == (0.0, 2 * LAYER_M)
+    lower = ColorMaskPolicy(fitted, policy.object_color).plan(cell.look(), replace(goal, layer=0)).action
+    assert lower.place.distance(target) > 0.004
+    lifted = ColorMaskPolicy(fitted, policy.object_color).plan(cell.look(), replace(goal, object_layer=1))
+    assert lifted.action.pick_on_m == LAYER_M
+    assert lifted.action.pick.distance(action.pick) > 0.001
 
 
 @settings(max_examples=15, deadline=None)

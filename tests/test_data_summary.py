@@ -13,6 +13,7 @@ import PIL.Image
 import pytest
 
 from baggie.data import DatasetWriter, contact_sheet, inspect_dataset, open_dataset
+from baggie.data.summary import goal_of
 from baggie.errors import DataError
 from baggie.geometry import Grid
 from baggie.types import Image, Observation
@@ -155,3 +156,15 @@ def test_contact_sheet_of_pictures_from_above(tmp_path: Path) -> None:
         others = np.delete(picture, channel, axis=2).max(axis=2)
         drawn = np.argwhere(picture[..., channel] - others > 60)[:, ::-1]
         assert np.allclose(drawn.mean(axis=0), grid.to_pixels(pose.xy)[0], atol=1)
+
+
+def test_a_goal_says_what_an_attempt_counted_and_points_at_what_was_seen() -> None:
+    attempt = make_attempt(0, np.random.default_rng(0), SIZE, depth=False)
+    plain = goal_of(attempt)
+    assert (plain.object_at, plain.layer, plain.object_layer) == (None, 0, 0)
+    counted = goal_of(dataclasses.replace(attempt, pick_layer=2, place_layer=1))
+    assert counted.object_at == pytest.approx(tuple(attempt.box_before.mean(axis=0)))
+    assert (counted.layer, counted.object_layer) == (1, 2)
+    unseen = dataclasses.replace(attempt, pick_layer=2, place_layer=1, box_before=np.full((4, 2), np.nan))
+    assert goal_of(unseen).object_at is None
+    assert (goal_of(unseen).layer, goal_of(unseen).object_layer) == (1, 2)

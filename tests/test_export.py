@@ -11,10 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 from torch import nn
 
 from baggie import Policy
+from baggie.calibration.image_to_robot.rectify import Rectifier
 from baggie.cli.main import main
 from baggie.data.summary import goal_of
 from baggie.errors import BaggieError, DataError, install_extra
@@ -28,7 +30,8 @@ from baggie.policies.regression import RegressionNet
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import TransporterNet
 from baggie.policies.transporter.policy import TransporterPolicy
-from helpers.synthetic import make_attempt
+from baggie.types import LAYER_M
+from helpers.synthetic import image_to_robot, make_attempt
 
 SIZE = (640, 360)
 VIEW = View(SIZE, 127, 78, 470, 281, (160, 96))
@@ -59,8 +62,8 @@ def shaken(network: nn.Module, *inputs: torch.Tensor) -> nn.Module:
     return network.eval()
 
 
-def make_keypoint(backbone="small", goal_input=None, seed=0) -> KeypointPolicy:
-    """Untrained, but as sure as a trained one, with a lens, a tilted camera and radii."""
+def make_keypoint(backbone="small", goal_input=None, seed=0, lift=(0.0, 0.0, 0.0)) -> KeypointPolicy:
+    """Untrained, but as sure as a trained one, with a lens, a tilted camera and radii; with a `lift`, from stacks."""
     torch.manual_seed(seed)
     goal_input = goal_input or GoalInput()
     pictures = [random_inputs(np.random.default_rng(n), goal_input.channels)[0] for n in range(8)]
@@ -73,6 +76,7 @@ def make_keypoint(backbone="small", goal_input=None, seed=0) -> KeypointPolicy:
         network.to_robot.homography.copy_(plane)
         network.to_robot.distortion.copy_(torch.tensor([0.05, -0.02]))
         network.to_robot.center.copy_(torch.tensor([0.02, -0.01]))
+        network.to_robot.lift.copy_(torch.tensor(lift))
     return KeypointPolicy(network, VIEW, 3, goal_input)
 
 
@@ -108,13 +112,14 @@ def attempt():
 
 
 def random_inputs(rng, channels):
-    """A picture, where to look for the object, a goal's corners in the normalised picture."""
+    """A picture, where to look for the object, a goal's corners in the normalised picture, layers."""
     width, height = VIEW.size
     noise = rng.integers(0, 256, (channels, height // 8, width // 8), np.uint8)
     images = np.stack([cv2.resize(channel, (width, height)) for channel in noise])[None]
     near = np.array([rng.uniform(0, width / 2), rng.uniform(0, height / 2), rng.choice([16.0, 1e4])])
     corners = rng.uniform(-0.6, 0.6, (rng.integers(3, 9), 2))
-    return images, near.astype(np.float32), corners.astype(np.float32)
+    layers = rng.integers(0, 4, 2)
+    return images, near.astype(np.float32), corners.astype(np.float32), layers.astype(np.float32)
 
 
 def assert_same_reading(policy, loaded, pictures) -> set[int]:
@@ -172,6 +177,58 @@ def test_exported_policies_keep_the_contract_and_plan_the_same(attempt, policies
             assert ours.views.keys() == theirs.views.keys()
             for name, view in ours.views.items():
                 assert np.abs(view - theirs.views[name]).max() <= TOLERANCE
+
+
+def test_a_policy_that_learned_from_stacks_plans_on_them_exported_too(tmp_path, attempt):
+    policy = make_keypoint(lift=(0.012, -0.003, 0.024))
+    export.export_policy(policy, tmp_path)
+    loaded = load_policy(tmp_path)
+    assert isinstance(loaded, ExportedKeypoint)
+    assert_same_reading(policy, loaded, 8)
+    goal = goal_of(attempt)
+    check_policy(loaded, attempt.before, replace(goal, layer=2, object_layer=1))
+    flat = policy.plan(attempt.before, goal).action
+    assert (flat.pick_on_m, flat.place_on_m) == (0.0, 0.0)
+    for object_layer, layer in ((0, 1), (2, 0), (1, 3)):
+        asked = replace(goal, layer=layer, object_layer=object_layer)
+        ours, theirs = (p.plan(attempt.before, asked).action for p in (policy, loaded))
+        assert np.abs(ours.to_array() - theirs.to_array()).max() <= TOLERANCE
+        assert (theirs.pick_on_m, theirs.place_on_m) == (object_layer * LAYER_M, layer * LAYER_M)
+        for now, before, up in ((ours.pick, flat.pick, object_layer), (ours.place, flat.place, layer)):
+            shift = up * (np.array([0.012, -0.003]) - 0.024 * before.xy)
+            np.testing.assert_allclose(now.xy - before.xy, shift, atol=1e-5)
+            assert now.yaw == pytest.approx(before.yaw, abs=1e-5)
+
+
+def test_what_knows_the_table_only_is_exported_and_loaded_as_before_and_refuses_stacks(
+    tmp_path, attempt, keypoint, exported, policies
+):
+    """A run of an older version lacks what layers shift, and its export the input that asks for them."""
+    goal = goal_of(attempt)
+    keypoint.save_pretrained(tmp_path)
+    path = tmp_path / "policy.safetensors"
+    tensors = safetensors.torch.load_file(path)
+    del tensors["to_robot.lift"]
+    safetensors.torch.save_file(tensors, path, metadata={"policy": "keypoint"})
+    trained = load_policy(tmp_path)
+    graph = load_policy(exported["keypoint"])
+    assert graph.graph.inputs.keys() == {"images", "near", "corners"}
+    expected = keypoint.plan(attempt.before, goal).action.to_array()
+    assert np.array_equal(trained.plan(attempt.before, goal).action.to_array(), expected)
+    assert np.abs(graph.plan(attempt.before, goal).action.to_array() - expected).max() <= TOLERANCE
+    camera = TransporterPolicy(
+        TransporterNet(TransporterConfig()),
+        Grid(),
+        3,
+        GoalInput("painted"),
+        Rectifier.of(image_to_robot(SIZE), Grid()),
+    )
+    for policy in (trained, graph, *policies.values(), load_policy(exported["regression"]), camera):
+        for layers in ({"layer": 1}, {"object_layer": 2}):
+            with pytest.raises(BaggieError, match="collect bag-stack and train keypoint on it") as error:
+                policy.plan(attempt.before, replace(goal, **layers))
+            assert policy.name in str(error.value)
+            assert "\n" not in str(error.value)
 
 
 def test_what_is_off_is_not_written(tmp_path, keypoint, monkeypatch):

@@ -13,7 +13,7 @@ from baggie.learning.samples import Labels
 from baggie.policies.keypoint.heads import PlanarMap
 from baggie.policies.planning import View
 from baggie.types import PickPlace
-from helpers.synthetic import WORKSPACE, box_corners, make_attempt
+from helpers.synthetic import WORKSPACE, box_corners, make_attempt, make_stacking
 
 SIZE = (640, 360)
 VIEW = View(SIZE, 0, 0, *SIZE, (160, 88))
@@ -75,6 +75,34 @@ def test_attempts_that_do_not_follow_each_other_have_no_second_opinion():
     ]  # by a person, in between
     assert Labels.of(alone, VIEW, PlanarMap()).pairs == 0
     assert Labels.of(moved, VIEW, PlanarMap()).pairs == 0
+
+
+def test_what_lies_in_another_layer_is_another_object():
+    """It is seen where the last one was put down: on it, or below it once that was taken away."""
+    attempts = [replace(attempt, pick_layer=0, place_layer=0) for attempt in sitting(30)]
+    attempts[10] = replace(attempts[10], pick_layer=1)
+    attempts[20] = replace(attempts[20], place_layer=2)
+    plain = Labels.of(sitting(30), VIEW, PlanarMap())
+    labels = Labels.of(attempts, VIEW, PlanarMap())
+    assert (plain.pairs, labels.pairs) == (29, 27)
+    for number in (9, 20):  # nobody tells where these came to rest
+        assert labels.weight[number, 1] < 0.2
+
+
+def test_labels_of_stacks_say_their_layers_and_fit_the_map_to_them():
+    attempts = make_stacking(60, 1, SIZE)
+    to_robot = PlanarMap()
+    labels = Labels.of(attempts, VIEW, to_robot)
+    assert labels.layers.tolist() == [[a.pick_layer, a.place_layer] for a in attempts]
+    assert labels.layers.max() == 2
+    assert labels.counted.all()
+    assert to_robot.knows_layers
+    truth = np.array([(a.truth.before.xy, a.truth.after.xy) for a in attempts])
+    assert np.linalg.norm(labels.xy - truth, axis=2).mean() < 0.003
+    unknown = Labels.of(sitting(30), VIEW, to_robot)
+    assert not unknown.counted.any()
+    assert not unknown.layers.any()
+    assert not to_robot.knows_layers
 
 
 def test_places_are_where_the_next_pick_found_the_object():

@@ -36,10 +36,18 @@ from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
 from baggie.policies.base import check_policy
 from baggie.policies.keypoint import heads as planar_map
+from baggie.policies.planning import POINTED_CELLS
 from baggie.policies.regression import ResNet18
-from baggie.types import Goal, Observation, PickPlace, Plan
+from baggie.types import LAYER_M, Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
-from helpers.synthetic import box_corners, make_attempt
+from helpers.synthetic import (
+    COLORS,
+    Lying,
+    box_corners,
+    make_attempt,
+    make_stacking,
+    observe_bags,
+)
 
 SIZE = (320, 180)
 ENOUGH = 80
@@ -187,6 +195,142 @@ def test_batches_follow_from_their_seed():
         one, same, other = (recipe.batch(np.random.default_rng(seed)) for seed in (4, 4, 5))
         assert all(torch.equal(one[name], same[name]) for name in one)
         assert not torch.equal(one["images"], other["images"])
+
+
+# --- stacks
+# --------------------------------------------------------------------------------------------------------------------
+
+STACKING = make_stacking(30, 0, SIZE, bags=2)
+SURE_STEPS = 90
+
+
+@pytest.fixture(scope="module")
+def stacker(tmp_path_factory):
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("stacker")
+    train(options(out, train=28, val=2, steps=SURE_STEPS), STACKING)
+    return load_policy(out)
+
+
+def test_of_two_bags_the_one_pointed_at_is_picked_and_places_are_right_in_any_layer(stacker, below):
+    picks, places, chosen = [], [], []
+    for seed in range(4):
+        rng = np.random.default_rng([7, seed])
+        low = Lying(PlanarPose(float(rng.uniform(0.4, 0.6)), -0.15, 0.3), 0, COLORS[0])
+        under = Lying(PlanarPose(float(rng.uniform(0.4, 0.6)), 0.12, -0.2), 0, COLORS[2])
+        high = replace(under, layer=1, color=COLORS[1])
+        seen = observe_bags([low, under, high], rng, SIZE)
+        for layer, bag in enumerate((low, high)):
+            to = PlanarPose(0.61, float(rng.uniform(-0.08, -0.02)), 0.1)
+            goal = Goal(box_corners(to, SIZE, layer + 2), layer=layer + 2, object_layer=bag.layer)
+            at = box_corners(bag.pose, SIZE, bag.layer).mean(axis=0) + rng.uniform(-3, 3, 2)
+            action = stacker.plan(seen, replace(goal, object_at=tuple(at))).action
+            picks.append(action.pick.distance(bag.pose))
+            places.append(action.place.distance(to))
+            assert (action.pick_on_m, action.place_on_m) == (bag.layer * LAYER_M, (layer + 2) * LAYER_M)
+        free = stacker.plan(seen, goal).action.pick
+        chosen.append(min(free.distance(low.pose), free.distance(high.pose)))
+    below("pick (m)", max(picks), 0.015)
+    below("place (m), at least 0.013 if layers were not heeded", max(places), 0.012)
+    below("without anybody pointing, to the nearer bag (m)", max(chosen), 0.04)
+
+
+def test_nobody_has_to_point_at_one_of_many_bags_and_an_empty_table_is_told_from_them(stacker, below):
+    rng = np.random.default_rng(8)
+    goal = Goal(box_corners(PlanarPose(0.5, 0.0), SIZE))
+    places = [PlanarPose(x, y) for x in (0.4, 0.6) for y in (-0.2, -0.07, 0.06, 0.2)]
+    colors = (*COLORS, *((b, r, g) for r, g, b in COLORS))
+    many = [Lying(pose, 0, color) for pose, color in zip(places, colors, strict=True)]
+    alone, among = (stacker.plan(observe_bags(bags, rng, SIZE), goal) for bags in (many[:1], many))
+    below("of many bags, to the nearest (m)", min(among.action.pick.distance(pose) for pose in places), 0.02)
+    below("1 - confidence among many", 1 - among.confidence, 0.7)
+    below("1 - confidence alone", 1 - alone.confidence, 0.7)
+    with pytest.raises(BaggieError, match="no bag in sight"):
+        stacker.plan(observe_bags([], rng, SIZE), goal)
+
+
+def test_labels_of_stacks_are_exact_in_their_layers_and_what_was_picked_is_pointed_at():
+    recipe = KeypointRecipe(STACKING)
+    layers = set()
+    for seed in range(5):
+        batch = recipe.batch(np.random.default_rng(seed))
+        points = planar_map.apply_homographies(batch["to_picture"].unsqueeze(1), batch["cells"])
+        found = recipe.policy.network.to_robot(points, batch["layers"])
+        assert torch.allclose(found, batch["xy"], atol=2e-5)
+        beside = (batch["near"][:, :2] - batch["cells"][:, 0]).norm(dim=-1)
+        assert (beside < POINTED_CELLS / 2).all()
+        assert (beside > 0).any()
+        assert (batch["near"][:, 2] == POINTED_CELLS).all()
+        layers |= {tuple(pair) for pair in batch["layers"].tolist()}
+    assert len(layers) == 4, "any goal, with its layer, in any picture"
+    assert any(p is recipe.policy.network.to_robot.lift for p in recipe.optimizer().param_groups[1]["params"])
+
+
+def test_a_pick_is_read_near_where_it_was_and_its_heat_map_stays_whole():
+    recipe = KeypointRecipe(STACKING)
+    network, batch = recipe.policy.network.eval(), recipe.batch(np.random.default_rng(0))
+    given = batch["images"], batch["to_picture"]
+    with torch.no_grad():
+        whole, there = network(*given), network(*given, batch["near"], batch["layers"])
+        elsewhere = network(*given, batch["near"] + torch.tensor([15.0, 0.0, 0.0]), batch["layers"])
+    for found, near in ((there, batch["near"]), (elsewhere, batch["near"] + torch.tensor([15.0, 0.0, 0.0]))):
+        assert torch.equal(found.logits, whole.logits)
+        assert torch.equal(found.cells[:, 1], whole.cells[:, 1])
+        assert ((found.cells[:, 0] - near[:, :2]).norm(dim=-1) <= POINTED_CELLS).all()
+    assert not torch.equal(there.cells[:, 0], elsewhere.cells[:, 0])
+
+
+def test_what_lies_in_a_stack_or_right_beside_others_is_not_changed_in_pictures():
+    attempts = make_stacking(24, 2, SIZE, bags=2)
+    recipe = KeypointRecipe(attempts, KeypointOptions(changes=Changes(new_looks=1.0)))
+    beside = [Lying(PlanarPose(0.5, y, 0.0), 0, color) for y, color in ((0.0, COLORS[0]), (0.13, COLORS[1]))]
+    touching = replace(
+        attempts[0],
+        before=observe_bags(beside, np.random.default_rng(0), SIZE),
+        box_before=box_corners(beside[0].pose, SIZE),
+        pick_layer=0,
+    )
+    crowded = KeypointRecipe([touching, *attempts[1:]], recipe.options)
+    changed = [
+        any(
+            not np.array_equal(
+                recipe.samples.draw(np.random.default_rng(seed), number, number).shape.linear, np.eye(2)
+            )
+            for seed in range(8)
+        )
+        for number in range(len(attempts))
+    ]
+    in_stacks = [number for number, attempt in enumerate(attempts) if attempt.pick_layer]
+    alone = [number for number in range(len(attempts)) if number not in in_stacks]
+    assert len(in_stacks) > 3
+    assert not any(changed[number] for number in in_stacks)
+    assert sum(changed[number] for number in alone) > len(alone) / 2
+    shapes = [crowded.samples.draw(np.random.default_rng(seed), 0, 0).shape for seed in range(8)]
+    assert all(np.array_equal(shape.linear, np.eye(2)) for shape in shapes)
+
+
+class OnTheTable(KeypointRecipe):
+    """Says of everything that it lies on the table."""
+
+    def batch(self, rng):
+        batch = super().batch(rng)
+        return batch | {"layers": torch.zeros(len(batch["xy"]), 2)}
+
+
+def test_where_all_lies_on_the_table_a_policy_is_as_if_nobody_counted_to_the_bit(tmp_path):
+    """And it learns nothing of layers."""
+    names = {"images", "to_picture", "cells", "xy", "weight", "yaw", "yaw_weight", "phases"}
+    assert KeypointRecipe(ATTEMPTS).batch(np.random.default_rng(0)).keys() == names
+    for name, recipe in (("plain", KeypointRecipe), ("table", OnTheTable)):
+        train(options(tmp_path / name, steps=3), ATTEMPTS, recipe)
+    plain, table = weights(tmp_path / "plain"), weights(tmp_path / "table")
+    assert all(torch.equal(plain[name], table[name]) for name in plain)
+    counted = [replace(attempt, pick_layer=0, place_layer=0) for attempt in ATTEMPTS]
+    train(options(tmp_path / "counted", steps=2), counted)
+    policy = load_policy(tmp_path / "counted")
+    assert not policy.knows_layers
+    with pytest.raises(BaggieError, match="collect bag-stack"):
+        policy.plan(ATTEMPTS[0].before, replace(goal_of(ATTEMPTS[0]), layer=1))
 
 
 # --- going on, and what stops it

@@ -24,7 +24,7 @@ from baggie.policies.keypoint.heads import (
 )
 from baggie.policies.planning import CELLS_TO_INPUT, GoalInput, Reading, View, keypoint_plan, place_yaw
 from baggie.sim.variety import BAGS_M
-from baggie.types import Goal, Observation
+from baggie.types import LAYER_M, Goal, Observation
 from baggie.workcell.workcell import WorkcellSettings
 from helpers import fake_workcell
 from helpers.synthetic import BAG_HEIGHT_M, BAG_SIDE_M, WORKSPACE, box_corners, to_pixels
@@ -166,6 +166,81 @@ def test_few_places_said_twice_give_a_plain_map_rather_than_nonsense(count):
         assert np.median(off) < 0.02, seed
 
 
+@given(
+    st.floats(0.2, 0.8), st.floats(-0.4, 0.4), st.floats(0.7, 1.5), st.floats(-0.15, 0.15), st.floats(-3, 3)
+)
+@settings(deadline=None, max_examples=20)
+def test_labels_of_stacks_tell_where_the_camera_stands_and_a_layer_s_share_of_its_height(
+    x: float, y: float, height: float, aside: float, roll: float
+) -> None:
+    """Of any pinhole camera, which looks about straight down: all layers are right that it was fitted to."""
+    foot, table_m = np.array([x, y]), BAG_HEIGHT_M / 2
+    forward = np.array([0.5 + aside, -aside, 0.0]) - [x, y, height]
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [math.cos(roll), math.sin(roll), 0.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward])
+
+    def seen(xy: np.ndarray, layer: np.ndarray) -> np.ndarray:
+        """Normalised."""
+        rays = (np.c_[xy, table_m + layer * LAYER_M] - [x, y, height]) @ axes.T
+        return rays[:, :2] / rays[:, 2:]
+
+    rng = np.random.default_rng(0)
+    xy, fresh = rng.uniform([0.3, -0.3], [0.7, 0.3], (2, 200, 2))
+    layer = rng.integers(0, 4, 200).astype(float)
+    to_robot = PlanarMap().double()
+    to_robot.fit(seen(xy, layer), xy, noise_m=1e-5, layer=layer)
+    points, above = torch.from_numpy(seen(fresh, layer)), torch.from_numpy(layer)
+    with torch.no_grad():
+        assert np.linalg.norm(to_robot(points, above).numpy() - fresh, axis=1).max() < 2e-4
+        assert torch.allclose(to_robot.inverse(torch.from_numpy(fresh), above), points, atol=1e-3)
+        k_foot, k = to_robot.lift[:2].numpy(), to_robot.lift[2].item()
+    assert k == pytest.approx(LAYER_M / (height - table_m), rel=0.02)
+    np.testing.assert_allclose(k_foot / k, foot, atol=0.01)
+    assert to_robot.knows_layers
+    assert to_robot.lift.requires_grad
+
+
+def test_noisy_labels_of_stacks_are_seen_through_and_without_stacks_a_map_is_as_it_was():
+    rng = np.random.default_rng(3)
+    xy = rng.uniform([0.35, -0.25], [0.65, 0.25], (300, 2))
+    layer = rng.choice([0.0, 0.0, 1.0, 2.0], 200)
+    noisy = xy[:200] + rng.normal(0, 0.003 / math.sqrt(2), (200, 2))
+    view = View((640, 360), 0, 0, 640, 360, (160, 88))
+
+    def seen(xy: np.ndarray, layer: np.ndarray | float) -> np.ndarray:
+        pixels = to_pixels(np.c_[xy, BAG_HEIGHT_M / 2 + layer * LAYER_M * np.ones(len(xy))], (640, 360))
+        return apply_homography(view.normalize(), pixels)
+
+    stacked, flat, plain = PlanarMap(), PlanarMap(), PlanarMap()
+    stacked.fit(seen(xy[:200], layer), noisy, 0.003, layer)
+    for number in range(4):
+        fresh = torch.from_numpy(seen(xy[200:], number)).float()
+        with torch.no_grad():
+            off = stacked(fresh, torch.full((100,), float(number))).numpy() - xy[200:]
+        assert np.sqrt((off**2).sum(axis=1)).mean() < 0.0015, number
+    flat.fit(seen(xy[:200], 0.0), noisy, 0.003, np.zeros(200))
+    plain.fit(seen(xy[:200], 0.0), noisy, 0.003)
+    assert not flat.knows_layers
+    assert not flat.lift.requires_grad
+    assert all(torch.equal(value, plain.state_dict()[name]) for name, value in flat.state_dict().items())
+    stacked.fit(seen(xy[:200], 0.0), noisy, 0.003)
+    assert not stacked.knows_layers, "what was learned from stacks is forgotten with them"
+
+
+def test_a_map_of_an_older_version_knows_the_table():
+    old = bent_map(0)
+    state = old.state_dict()
+    del state["lift"]
+    loaded = PlanarMap().double()
+    with torch.no_grad():
+        loaded.lift.fill_(0.1)
+    loaded.load_state_dict(state)
+    assert not loaded.knows_layers
+    assert torch.equal(loaded.homography, old.homography)
+
+
 @pytest.mark.parametrize("count", [0, 3])
 def test_too_few_points_for_a_map(count):
     with pytest.raises(DataError, match="at least 4"):
@@ -180,25 +255,34 @@ def bent_map(seed: int) -> PlanarMap:
             (to_robot.homography, 0.1),
             (to_robot.distortion, 0.1),
             (to_robot.center, 0.1),
+            (to_robot.lift, 0.05),
         ):
             parameter.add_(spread * torch.randn_like(parameter).clamp(-2, 2))
     return to_robot
 
 
 @settings(deadline=None)
-@given(st.integers(0, 1000), numbers, numbers)
-def test_map_and_its_inverse_undo_each_other(seed, u, v):
+@given(st.integers(0, 1000), numbers, numbers, st.integers(0, 4))
+def test_map_and_its_inverse_undo_each_other(seed, u, v, layer):
     to_robot, point = bent_map(seed), torch.tensor([[u, v]], dtype=torch.float64)
+    above = torch.tensor([float(layer)], dtype=torch.float64)
     with torch.no_grad():
         assert torch.allclose(to_robot.inverse(to_robot(point)), point, atol=1e-6)
+        assert torch.allclose(to_robot.inverse(to_robot(point, above), above), point, atol=1e-6)
+        moved = to_robot(point, above) - to_robot(point)
+        # By the same step for each layer, and nothing for none.
+        assert torch.allclose(layer * (to_robot(point, torch.ones(1)) - to_robot(point)), moved, atol=1e-12)
 
 
 @settings(deadline=None)
-@given(st.integers(0, 1000), numbers, numbers)
-def test_jacobians_agree_with_automatic_differentiation(seed, u, v):
+@given(st.integers(0, 1000), numbers, numbers, st.integers(0, 4))
+def test_jacobians_agree_with_automatic_differentiation(seed, u, v, layer):
     to_robot, point = bent_map(seed), torch.tensor([u, v], dtype=torch.float64)
     exact = torch.autograd.functional.jacobian(to_robot, point)
     assert torch.allclose(to_robot.jacobian(point), exact, atol=1e-9)
+    above = torch.tensor(float(layer), dtype=torch.float64)
+    exact = torch.autograd.functional.jacobian(lambda p: to_robot(p, above), point)
+    assert torch.allclose(to_robot.jacobian(point, above), exact, atol=1e-9)
     matrix = to_robot.matrix().detach()
     exact = torch.autograd.functional.jacobian(lambda p: planar_map.apply_homographies(matrix, p), point)
     assert torch.allclose(planar_map.homography_jacobian(matrix, point), exact, atol=1e-9)
@@ -258,7 +342,7 @@ def test_what_is_pointed_at_is_looked_for_as_far_as_its_middle_and_no_further_th
     view = View.around(to_pixels(np.c_[edges, np.full(4, BAG_HEIGHT_M)], size), size)
     asked = []
 
-    def read(images, near, corners):
+    def read(images, near, corners, layers):
         asked.append(near)
         share = np.ones(2, np.float32)
         return Reading(np.zeros((2, 2)), 0.0, 4.0, share, share, np.ones((2, 4, 4), np.float32), corners)

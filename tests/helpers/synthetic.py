@@ -1,4 +1,4 @@
-"""Drawn attempts: a table, a red bag, and a camera map that is known exactly.
+"""Drawn attempts: a table, a red bag or several in stacks, and a camera map that is known exactly.
 
 Enough for tests and for training a small network: the picture-to-robot map is smooth and fixed, the labels
 carry the noise real grasps have, and the truth is there to measure against.
@@ -7,6 +7,8 @@ carry the noise real grasps have, and the truth is there to measure against.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -15,7 +17,17 @@ import numpy as np
 from baggie.calibration.files import CameraIdentity
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
-from baggie.types import Attempt, Failure, Image, Intrinsics, Observation, Outcome, PickPlace, Truth
+from baggie.types import (
+    LAYER_M,
+    Attempt,
+    Failure,
+    Image,
+    Intrinsics,
+    Observation,
+    Outcome,
+    PickPlace,
+    Truth,
+)
 
 WORKSPACE = Rectangle(0.35, 0.65, -0.25, 0.25)
 TASK = "put the bag on the goal"
@@ -23,6 +35,8 @@ BAG_SIDE_M = 0.12
 BAG_HEIGHT_M = 0.03
 LABEL_NOISE_M = 0.002
 RED = (200, 40, 40)
+COLORS = (RED, (60, 90, 200), (40, 160, 70), (200, 170, 40))
+"""Of bags that lie about together."""
 
 # The camera stands 1 m above the table, off centre and tilted by about 12 degrees: nothing is axis-aligned.
 _CAMERA_XYZ = np.array([0.33, 0.08, 1.0])
@@ -75,11 +89,11 @@ def to_pixels(xyz: FloatArray, size: tuple[int, int] = (1280, 720)) -> FloatArra
     return np.asarray(points[:, 0], float)
 
 
-def box_corners(pose: PlanarPose, size: tuple[int, int] = (1280, 720)) -> FloatArray:
-    """The outline of a bag at `pose`, half its height above the table: `(4, 2)` pixels (u, v)."""
+def box_corners(pose: PlanarPose, size: tuple[int, int] = (1280, 720), layer: int = 0) -> FloatArray:
+    """The outline of a bag at `pose`, half its height above the table or its layer: `(4, 2)` pixels (u, v)."""
     half = BAG_SIDE_M / 2
     corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-    return to_pixels(_on_table(pose, corners, BAG_HEIGHT_M / 2), size)
+    return to_pixels(_on_table(pose, corners, layer * LAYER_M + BAG_HEIGHT_M / 2), size)
 
 
 def make_attempt(
@@ -143,6 +157,72 @@ def carried(
     )
 
 
+@dataclass(frozen=True)
+class Lying:
+    """A bag somewhere, perhaps on others."""
+
+    pose: PlanarPose
+    layer: int = 0
+    color: tuple[int, int, int] = RED
+
+
+def observe_bags(
+    bags: Sequence[Lying], rng: np.random.Generator, size: tuple[int, int], time_s: float = 0.0
+) -> Observation:
+    """A picture of several bags, without depth."""
+    color = _table(size)[0].copy()
+    for bag in sorted(bags, key=lambda each: each.layer):
+        _paint_bag(color, bag.pose, size, bag.color, bag.layer)
+    return Observation(_exposed(color, rng, rng.uniform(0.9, 1.1)), None, intrinsics(size), time_s)
+
+
+def make_stacking(count: int, seed: int, size: tuple[int, int], bags: int = 3) -> list[Attempt]:
+    """Attempts one after another that lay bags of different colours on each other, and on the table again."""
+    rng = np.random.default_rng([9, seed])
+    lying: list[Lying] = []
+    for color in COLORS[:bags]:
+        lying.append(Lying(_free(rng, lying), 0, color))
+    return [_stacked(number, rng, lying, size) for number in range(count)]
+
+
+def _stacked(number: int, rng: np.random.Generator, lying: list[Lying], size: tuple[int, int]) -> Attempt:
+    """One attempt; `lying` is as it leaves it then."""
+    tops = [bag for bag in lying if not any(_above(other, bag) for other in lying)]
+    moved = tops[int(rng.integers(len(tops)))]
+    below = [bag for bag in tops if bag is not moved]
+    ends = Lying(_free(rng, lying), 0, moved.color)
+    if below and rng.random() < 0.6:
+        on = below[int(rng.integers(len(below)))]
+        ends = Lying(_noisy(on.pose, rng), on.layer + 1, moved.color)
+    alone = make_attempt(number, rng, (16, 9), depth=False)  # for all that is not about bags
+    executed = PickPlace(_noisy(moved.pose, rng), _noisy(ends.pose, rng))
+    before = observe_bags(lying, rng, size, alone.time)
+    lying[lying.index(moved)] = ends
+    return replace(
+        alone,
+        before=before,
+        after=observe_bags(lying, rng, size, alone.time + 11.0),
+        commanded=executed,
+        outcome=replace(alone.outcome, executed=executed),
+        box_before=box_corners(moved.pose, size, moved.layer),
+        box_after=box_corners(ends.pose, size, ends.layer),
+        truth=Truth(moved.pose, ends.pose),
+        pick_layer=moved.layer,
+        place_layer=ends.layer,
+    )
+
+
+def _above(bag: Lying, other: Lying) -> bool:
+    return bag.layer > other.layer and bag.pose.distance(other.pose) < BAG_SIDE_M / 2
+
+
+def _free(rng: np.random.Generator, lying: Sequence[Lying]) -> PlanarPose:
+    pose = _random_pose(rng)
+    while any(pose.distance(bag.pose) < 0.19 for bag in lying):
+        pose = _random_pose(rng)
+    return pose
+
+
 def _random_pose(rng: np.random.Generator) -> PlanarPose:
     x, y = WORKSPACE.sample(rng, margin=0.02)
     return PlanarPose(float(x), float(y), float(rng.uniform(-math.pi / 4, math.pi / 4)))
@@ -199,16 +279,8 @@ def _observe(
 ) -> Observation:
     table, table_depth = _table(size)
     color = table.copy()
-    for scale, height, tint in (
-        (1.0, 0.5, 0.8),
-        (0.85, 0.8, 1.0),
-        (0.5, 1.0, 1.12),
-    ):  # a pillow in three steps
-        polygon = to_pixels(_on_table(pose, _outline(scale), height * BAG_HEIGHT_M), size)
-        fixed = np.round(polygon * 256).astype(np.int32)
-        cv2.fillPoly(color, [fixed], tuple(tint * c for c in RED), cv2.LINE_AA, 8)
-    noise = rng.integers(-3, 4, color.shape, dtype=np.int8)
-    color = np.clip(color * np.float32(exposure) + noise, 0, 255).astype(np.uint8)
+    _paint_bag(color, pose, size)
+    color = _exposed(color, rng, exposure)
     distance = None
     if depth:
         mask = np.zeros(color.shape[:2], np.uint8)
@@ -216,3 +288,19 @@ def _observe(
         cv2.fillPoly(mask, [np.round(polygon).astype(np.int32)], 1)
         distance = (np.round((table_depth - BAG_HEIGHT_M * mask) * 1000) / 1000).astype(np.float32)
     return Observation(color, distance, intrinsics(size), time_s)
+
+
+def _paint_bag(
+    picture: Image, pose: PlanarPose, size: tuple[int, int], color: tuple[int, int, int] = RED, layer: int = 0
+) -> None:
+    """Draw a pillow in three steps into the picture itself."""
+    for scale, height, tint in ((1.0, 0.5, 0.8), (0.85, 0.8, 1.0), (0.5, 1.0, 1.12)):
+        z = layer * LAYER_M + height * BAG_HEIGHT_M
+        polygon = to_pixels(_on_table(pose, _outline(scale), z), size)
+        fixed = np.round(polygon * 256).astype(np.int32)
+        cv2.fillPoly(picture, [fixed], tuple(tint * c for c in color), cv2.LINE_AA, 8)
+
+
+def _exposed(picture: Image, rng: np.random.Generator, exposure: float) -> Image:
+    noise = rng.integers(-3, 4, picture.shape, dtype=np.int8)
+    return np.clip(picture * np.float32(exposure) + noise, 0, 255).astype(np.uint8)

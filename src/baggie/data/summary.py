@@ -225,14 +225,13 @@ def goal_of(attempt: Attempt) -> Goal:
             f"attempt {attempt.attempt_id} has no goal: the bag was not found in its picture after"
         )
     corners = np.asarray(attempt.box_after, float)
-    if attempt.pick_layer is None or not np.isfinite(attempt.box_before).all():
-        return Goal(corners)
-    u, v = attempt.box_before.mean(axis=0)
+    u, v = (float(at) for at in attempt.box_before.mean(axis=0))
+    pointed = attempt.pick_layer is not None and math.isfinite(u + v)
     return Goal(
         corners,
-        object_at=(float(u), float(v)),
+        object_at=(u, v) if pointed else None,
         layer=attempt.place_layer or 0,
-        object_layer=attempt.pick_layer,
+        object_layer=attempt.pick_layer or 0,
     )
 
 

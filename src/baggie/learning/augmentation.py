@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray, apply_homography
 from baggie.types import Image
-from baggie.vision.color_mask import find_bag
+from baggie.vision.color_mask import chroma_of, find_bag
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,12 @@ _CLUTTER = 4
 """Things at most."""
 _PRINTED = 0.3
 """The share of them that have something else on them: a magazine's picture, a cup's contents."""
+_RIM_PX, _AROUND_PX = 2, 6
+"""Around a mask: where colours mix, and where an object of another shape or turned may reach to."""
+_OTHER_CHROMA = 0.25
+"""What is so far in hue and saturation from most that surrounds an object is another object, no grain of the table."""
+_OTHER_SHARE = 0.04
+"""Of what surrounds an object: half a corner of another."""
 
 
 def object_mask(picture: Image, box: FloatArray) -> Mask:
@@ -131,6 +137,19 @@ def object_mask(picture: Image, box: FloatArray) -> Mask:
     whole = np.zeros((height, width), np.uint8)
     cv2.fillPoly(whole, [np.round(box).astype(np.int32)], 1)
     return whole.astype(np.float32)
+
+
+def stands_alone(picture: Image, mask: Mask) -> bool:
+    """Whether all that surrounds an object has about one colour, in any light: the table's, and no other object's."""
+    there = (mask > 0.02).astype(np.uint8)
+    rim, reach = (
+        cv2.dilate(there, np.ones((2 * px + 1, 2 * px + 1), np.uint8)) for px in (_RIM_PX, _AROUND_PX)
+    )
+    around = chroma_of(picture)[(reach > 0) & (rim == 0)]
+    if not len(around):
+        return False
+    off = np.linalg.norm(around - np.median(around, axis=0), axis=1)
+    return bool((off > _OTHER_CHROMA).mean() < _OTHER_SHARE)
 
 
 def random_look(rng: np.random.Generator, picture: Image, table: Image, mask: Mask) -> Image:

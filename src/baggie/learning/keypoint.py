@@ -33,7 +33,7 @@ from baggie.policies.keypoint.policy import (
     phases_under,
 )
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.planning import GoalInput, View
+from baggie.policies.planning import ANYWHERE_CELLS, POINTED_CELLS, GoalInput, View
 from baggie.policies.regression import load_imagenet
 from baggie.types import Attempt
 
@@ -104,6 +104,8 @@ _WARM_UP = 0.06
 """Of the training."""
 _ROUND_CM = 0.5
 """Errors below this count squared: labels are no better."""
+_BESIDE_CELLS = 2.0
+"""As far from an object's middle, either way along both axes, somebody may point at it."""
 _SPREAD_CELLS = 1.5
 _YAW_WEIGHT = 1.0
 
@@ -173,12 +175,13 @@ class KeypointRecipe(Recipe):
         return network
 
     def optimizer(self) -> Optimizer:
-        """Adam with decoupled weight decay; the map has a low rate and no decay."""
+        """Adam with decoupled weight decay; the map, as far as it is trained, has a low rate and no decay."""
         network = self.policy.network
         seeing = [p for name, p in network.named_parameters() if not name.startswith("to_robot.")]
+        mapping = [p for p in network.to_robot.parameters() if p.requires_grad]
         groups = [
             {"params": seeing, "lr": _RATE, "weight_decay": 1e-2},
-            {"params": list(network.to_robot.parameters()), "lr": _MAP_RATE, "weight_decay": 0.0},
+            {"params": mapping, "lr": _MAP_RATE, "weight_decay": 0.0},
         ]
         return AdamW(groups)
 
@@ -189,7 +192,8 @@ class KeypointRecipe(Recipe):
     def batch(self, rng: np.random.Generator) -> Batch:
         """Inputs `images` `(B, C, H, W)` uint8 and `to_picture` `(B, 3, 3)`; labels `xy` `(B, 2, 2)` with `weight`
         `(B, 2)`, `yaw` of the pick `(B,)` with `yaw_weight` `(B,)`, lengths of its `phases` `(B, 2)`; and about
-        where the labels are in the heat maps, `cells` `(B, 2, 2)`.
+        where the labels are in the heat maps, `cells` `(B, 2, 2)`. Where several objects lie about, two more inputs:
+        `near` `(B, 3)`, where the one to be picked is pointed at, and `layers` `(B, 2)` of both places.
         """
         pick_from, place_from = self.pairs(rng)
         samples = [self.samples.draw(rng, i, j) for i, j in zip(pick_from, place_from, strict=True)]
@@ -204,6 +208,13 @@ class KeypointRecipe(Recipe):
             "yaw_weight": labels.yaw_weight[pick_from],
             "phases": np.array([shape.phases for shape in shapes]),
         }
+        if labels.counted.any():
+            pointed_at = numbers["cells"][:, 0] + rng.uniform(-_BESIDE_CELLS, _BESIDE_CELLS, (_BATCH, 2))
+            within = np.where(labels.counted[pick_from], POINTED_CELLS, ANYWHERE_CELLS)
+            numbers |= {
+                "near": np.column_stack([pointed_at, within]),
+                "layers": np.stack([labels.layers[pick_from, 0], labels.layers[place_from, 1]], axis=1),
+            }
         tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
         return {"images": torch.from_numpy(np.stack(images)), **tensors}
 
@@ -215,8 +226,14 @@ class KeypointRecipe(Recipe):
         return pick_from, np.where(hidden, pick_from, place_from)
 
     def loss(self, network: nn.Module, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Huber's loss on centimetres, cross-entropy to a round heat map, squared distances of phases."""
-        found: Keypoints = network(batch["images"], batch["to_picture"])
+        """Huber's loss on centimetres, cross-entropy to a round heat map, squared distances of phases.
+
+        Where several objects lie about, the pick is read near the one that was picked, as if it were pointed at; its
+        heat map is judged as a whole, so that its peak is at one that can be picked.
+        """
+        found: Keypoints = network(
+            batch["images"], batch["to_picture"], batch.get("near"), batch.get("layers")
+        )
         error_cm = 100 * torch.linalg.vector_norm(found.xy - batch["xy"] + 1e-8, dim=-1)
         position = F.huber_loss(error_cm, torch.zeros_like(error_cm), reduction="none", delta=_ROUND_CM)
         position = (batch["weight"] * position).mean() / _ROUND_CM

@@ -24,6 +24,7 @@ from baggie.geometry import FloatArray, apply_homography, wrap_angle
 from baggie.learning.augmentation import (
     LONG,
     SQUARE,
+    Mask,
     Shape,
     WarpRange,
     object_mask,
@@ -32,6 +33,7 @@ from baggie.learning.augmentation import (
     random_warp,
     randomly_turned,
     reshaped,
+    stands_alone,
     unchanged,
     with_shape,
     without_object,
@@ -91,6 +93,10 @@ class Labels:
     """`(N, K, 2)` metres, robot base frame: where the object is, and where to let go of it."""
     weight: FloatArray
     """`(N, K)`: 1 for labels by the collector's detection that agree with the consensus, less for others."""
+    layers: FloatArray
+    """`(N, K)`: how many others lie below it; 0 where nobody counted."""
+    counted: NDArray[np.bool_]
+    """`(N,)`: where somebody counted them: others may lie about."""
     yaw: FloatArray
     """`(N,)` radians: of the object at the pick."""
     yaw_weight: FloatArray
@@ -115,6 +121,7 @@ class Labels:
         """
         executed = [attempt.outcome.executed for attempt in attempts]
         xy = np.array([(action.pick.xy, action.place.xy) for action in executed])
+        layers = np.array([(a.pick_layer or 0, a.place_layer or 0) for a in attempts], float)
         boxes = np.stack([[a.box_before for a in attempts], [goal_of(a).corners for a in attempts]], axis=1)
         seen = apply_homography(view.normalize(), boxes.reshape(-1, 2)).reshape(*boxes.shape)  # (N, K, 4, 2)
         centers = seen.mean(axis=2)
@@ -130,15 +137,16 @@ class Labels:
         xy[later - 1, 1] = xy[later, 0]
         noise[later - 1, 1] = DETECTION_NOISE_M
         if fuse:
-            to_robot.fit(centers[known], xy[known], noise[known])
+            to_robot.fit(centers[known], xy[known], noise[known], layers[known])
         else:
-            to_robot.fit(centers[:, 1], xy[:, 1])
-        off, off_said = (_off(to_robot, centers, labels, known) for labels in (xy, said))
+            to_robot.fit(centers[:, 1], xy[:, 1], layer=layers[:, 1])
+        off, off_said = (_off(to_robot, centers, layers, labels, known) for labels in (xy, said))
         weight = np.ones_like(off)
         if fuse:
             near = _KEPT * _usual(off) / np.maximum(np.nan_to_num(off), 1e-9)
             weight = (DETECTION_NOISE_M / noise) ** 2 * np.minimum(1.0, near) ** 2
         yaw = np.array([action.pick.yaw for action in executed])
+        # As on the table: a layer turns no side, and keeps the sides' ratio.
         in_picture, long = directions(_mapped(to_robot, seen[:, 0].reshape(-1, 2)).reshape(-1, 4, 2))
         turned = np.abs(wrap_angle(in_picture - yaw, np.pi / 2))
         outliers = [
@@ -148,6 +156,8 @@ class Labels:
         return cls(
             xy,
             weight,
+            layers,
+            np.array([(a.pick_layer, a.place_layer) != (None, None) for a in attempts]),
             yaw,
             1.0 - (turned > _YAW_AGREES),  # NaN where the object was not seen: nothing speaks against it
             np.array(
@@ -164,12 +174,16 @@ class Labels:
 
 
 def _followers(attempts: Sequence[Attempt], centers: FloatArray) -> NDArray[np.int64]:
-    """Attempts whose object is where the attempt before put it: `(M,)` indices; `centers` `(N, K, 2)` normalised."""
+    """Attempts whose object is where the attempt before put it: `(M,)` indices; `centers` `(N, K, 2)` normalised.
+
+    In another layer it is another one, on it or below it.
+    """
     return np.array(
         [
             later
             for later, (a, b) in enumerate(pairwise(attempts), start=1)
             if b.attempt_id == a.attempt_id + 1
+            and b.pick_layer == a.place_layer
             and np.linalg.norm(centers[later, 0] - centers[later - 1, 1]) < 2 * _SAME_PLACE
         ],
         int,
@@ -199,11 +213,15 @@ def _disagreement(apart: FloatArray, picks: FloatArray, later: NDArray[np.int64]
 
 
 def _off(
-    to_robot: PlanarMap, centers: FloatArray, labels: FloatArray, known: NDArray[np.bool_]
+    to_robot: PlanarMap,
+    centers: FloatArray,
+    layers: FloatArray,
+    labels: FloatArray,
+    known: NDArray[np.bool_],
 ) -> FloatArray:
     """How far labels are from where the map puts what was seen: `(N, K)` metres, NaN where nothing was."""
     off = np.full(known.shape, np.nan)
-    off[known] = np.linalg.norm(labels[known] - _mapped(to_robot, centers[known]), axis=1)
+    off[known] = np.linalg.norm(labels[known] - _mapped(to_robot, centers[known], layers[known]), axis=1)
     return off
 
 
@@ -212,10 +230,11 @@ def _usual(off: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.nanmedian(off, axis=0), 5e-4))
 
 
-def _mapped(to_robot: PlanarMap, points: FloatArray) -> FloatArray:
-    """`(N, 2)` normalised -> `(N, 2)` metres."""
+def _mapped(to_robot: PlanarMap, points: FloatArray, layers: FloatArray | None = None) -> FloatArray:
+    """`(N, 2)` normalised, in layers `(N,)` -> `(N, 2)` metres."""
+    above = None if layers is None else torch.from_numpy(layers).float()
     with torch.no_grad():
-        return np.asarray(to_robot(torch.from_numpy(points).float()).double().numpy())
+        return np.asarray(to_robot(torch.from_numpy(points).float(), above).double().numpy())
 
 
 def directions(corners: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -271,10 +290,9 @@ class Samples:
         self._view, self._goal_input, self._changes = view, policy.goal_input, changes
         self._yaw, self._symmetry = labels.yaw, labels.symmetry
         self._pictures = np.stack([view.cut(attempt.before.color) for attempt in attempts])
-        boxes = [view.to_input(attempt.box_before) for attempt in attempts]
         self._masks = [
-            object_mask(picture, box) if np.isfinite(box).all() else None
-            for picture, box in zip(self._pictures, boxes, strict=True)
+            _mask(attempt, picture, view.to_input(attempt.box_before))
+            for attempt, picture in zip(attempts, self._pictures, strict=True)
         ]
         self._tables = [
             None if mask is None else without_object(picture, mask)
@@ -282,8 +300,9 @@ class Samples:
         ]
         self._goals = [view.goal_to_input(goal_of(attempt)) for attempt in attempts]
         with torch.no_grad():
-            normalized = to_robot.inverse(torch.from_numpy(labels.xy).float())
-            jacobian = to_robot.jacobian(normalized[:, 0]).double().numpy()
+            layers = torch.from_numpy(labels.layers).float()
+            normalized = to_robot.inverse(torch.from_numpy(labels.xy).float(), layers)
+            jacobian = to_robot.jacobian(normalized[:, 0], layers[:, 0]).double().numpy()
         self._from_input = view.normalize() @ view.from_input()
         self._jacobian = jacobian @ self._from_input[:2, :2]
         """`(N, 2, 2)`: d (x, y) / d (u, v) at the picks, metres per pixel of the input."""
@@ -339,3 +358,14 @@ class Samples:
         if new_look:
             picture = random_look(rng, picture, table, mask)
         return picture, shape
+
+
+def _mask(attempt: Attempt, picture: Image, box: FloatArray) -> Mask | None:
+    """Where the object is in a picture `(H, W, 3)`, in which its box is `(4, 2)`, to be changed there.
+
+    None where it was not seen, or lies on others or right beside some: what is below it and behind it, nobody knows.
+    """
+    if not np.isfinite(box).all() or attempt.pick_layer:
+        return None
+    mask = object_mask(picture, box)
+    return mask if attempt.pick_layer is None or stands_alone(picture, mask) else None

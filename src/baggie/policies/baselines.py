@@ -18,7 +18,15 @@ from baggie.geometry import FloatArray, PlanarPose, wrap_angle
 from baggie.options.values import COLOR_MASK, ORACLE
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
-from baggie.types import Goal, Observation, PickPlace, Plan, require_goal, require_observation
+from baggie.types import (
+    LAYER_M,
+    Goal,
+    Observation,
+    PickPlace,
+    Plan,
+    require_goal,
+    require_observation,
+)
 from baggie.vision.color_mask import find_bag
 
 CONFIG_FILE = "config.yaml"
@@ -35,10 +43,11 @@ class ColorMaskPolicy(Policy):
         self.object_color = object_color
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
-        """Where to pick and where to place; yaws modulo a quarter turn.
+        """Where to pick and where to place; yaws modulo a quarter turn, heights as the goal's layers count them.
 
-        Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, or the
-        picture has another shape than those the map was fitted to.
+        Raises `BaggieError` when no object is in sight, the goal's centre lies outside the picture, the
+        picture has another shape than those the map was fitted to, or layers are above the table and the map was
+        fitted at one height only.
         """
         width, height = require_observation(observation).size
         goal = require_goal(goal)
@@ -55,11 +64,13 @@ class ColorMaskPolicy(Policy):
                 f"expected an object of colour RGB {self.object_color} in the picture, found none; "
                 "bring it into view or choose another colour"
             )
-        pick = _pose(to_robot, found.center, found.yaw)
-        # On the table: the middle of what a tilted camera sees is not what it sees of the middle.
-        x, y = to_robot.to_robot(goal.corners).mean(axis=0)
-        place = PlanarPose(float(x), float(y), to_robot.yaw_to_robot(goal.center, _goal_yaw(goal)))
-        return Plan(PickPlace(pick, place), found.confidence, views={"object": found.mask.astype(np.float32)})
+        pick = _pose(_in_layer(to_robot, goal.object_layer), found.center, found.yaw)
+        there = _in_layer(to_robot, goal.layer)
+        # Not in the picture: the middle of what a tilted camera sees is not what it sees of the middle.
+        x, y = there.to_robot(goal.corners).mean(axis=0)
+        place = PlanarPose(float(x), float(y), there.yaw_to_robot(goal.center, _goal_yaw(goal)))
+        action = PickPlace(pick, place, goal.object_layer * LAYER_M, goal.layer * LAYER_M)
+        return Plan(action, found.confidence, views={"object": found.mask.astype(np.float32)})
 
     def save(self, folder: Path) -> None:
         """Write `image-to-robot.yaml`, then `config.yaml`: where that is, all is."""
@@ -90,6 +101,11 @@ class ColorMaskPolicy(Policy):
                 f"expected a {cls.name} policy in {path}, got {error!r}; give its folder"
             ) from error
         return cls(ImageToRobot.load(folder / MAP_FILE), (red, green, blue))
+
+
+def _in_layer(to_robot: ImageToRobot, layer: int) -> ImageToRobot:
+    """The map at the middle of bags of a layer; as it was fitted on the table. Raises `CalibrationError`."""
+    return to_robot if layer == 0 else to_robot.at_height((layer + 0.5) * LAYER_M)
 
 
 def _pose(to_robot: ImageToRobot, pixel: FloatArray, yaw: float) -> PlanarPose:

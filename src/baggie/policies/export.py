@@ -51,11 +51,13 @@ class Exportable:
         """What a policy runs. Raises `BaggieError` for a kind that is not known here."""
         if isinstance(policy, KeypointPolicy):
             width, height = policy.view.size
-            inputs: Arrays = {
+            inputs: dict[str, NDArray[Any]] = {
                 "images": np.zeros((1, policy.goal_input.channels, height, width), np.uint8),
                 "near": np.zeros(3, np.float32),
                 "corners": np.zeros((4, 2), np.float32),
             }
+            if policy.knows_layers:
+                inputs |= {"layers": np.zeros(2, np.float32)}
             lengths = {"corners": "corners", "goal_xy": "corners"}
             return cls(policy.reader(), inputs, Reading._fields, lengths)
         if isinstance(policy, RegressionPolicy):
@@ -103,7 +105,7 @@ class Exportable:
         return worst
 
     def _random(self, rng: np.random.Generator) -> Iterator[Arrays]:
-        """Pictures, and goals of three corners and more; on the last, an object that is pointed at."""
+        """Pictures, goals of three corners and more, in any layer it knows; on the last, what is pointed at."""
         for number in range(_PICTURES):
             images = self.inputs["images"]
             inputs: dict[str, NDArray[Any]] = {"images": rng.integers(0, 256, images.shape, np.uint8)}
@@ -112,6 +114,8 @@ class Exportable:
                 radius = 16.0 if number == _PICTURES - 1 else 1e4
                 inputs["near"] = np.array([*middle, radius], np.float32)
                 inputs["corners"] = rng.uniform(-0.5, 0.5, (3 + number, 2)).astype(np.float32)
+            if "layers" in self.inputs:
+                inputs["layers"] = rng.integers(0, 4, 2).astype(np.float32)
             yield inputs
 
 

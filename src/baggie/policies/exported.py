@@ -94,11 +94,20 @@ class ExportedKeypoint(ExportedPolicy):
             observation,
             require_goal(goal),
             camera_size=self.camera_size,
+            knows_layers=self.knows_layers,
         )
 
-    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
+    @property
+    def knows_layers(self) -> bool:
+        """Whether it learned from stacks; else its graph is not asked for layers."""
+        return "layers" in self.graph.inputs
+
+    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32, layers: Float32) -> Reading:
         """Run the network; see `KeypointRead`."""
-        return Reading(*self.graph.run(Reading._fields, {"images": images, "near": near, "corners": corners}))
+        given: dict[str, NDArray[Any]] = {"images": images, "near": near, "corners": corners}
+        if self.knows_layers:
+            given["layers"] = layers
+        return Reading(*self.graph.run(Reading._fields, given))
 
 
 class ExportedRegression(ExportedPolicy):

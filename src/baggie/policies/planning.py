@@ -18,7 +18,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, apply_homography
 from baggie.options.values import DrawnStyle
 from baggie.policies.checkpoint import at_training_size
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, require_observation
+from baggie.types import LAYER_M, Goal, Image, Observation, PickPlace, Plan, require_observation
 from baggie.vision.draw import paint_goal, region_mask, without_card
 
 _STRIDE = 8
@@ -120,11 +120,14 @@ CELLS_TO_INPUT: FloatArray = np.array(
 
 _IN_SIGHT = 0.15
 """With a bag in sight this share of the pick's heat map, and far more, is at its peak; on an empty table, 0.05."""
+_SPREAD_OUT = 0.35
+"""Of a heat map's cells: eight bags in sight spread it over as many as 12% of them, an empty table over 75%."""
 _VIEW_SCALE = 4
 """Heat maps are shown at a quarter of the picture's size."""
-_POINTED_CELLS = 10.0
+POINTED_CELLS = 10.0
 """An object that is pointed at is looked for within so many cells: some 10 cm on a table, less than to the next bag."""
-_ANYWHERE = np.array([0.0, 0.0, 1e4], np.float32)
+ANYWHERE_CELLS = 1e4
+"""More than there are."""
 LONG_RATIO = 1.25
 """What is seen so many times longer than wide, an object or a goal, is long."""
 
@@ -148,8 +151,8 @@ class Reading(NamedTuple):
     """`(N, 2)`: the goal's corners on the table, metres."""
 
 
-KeypointRead = Callable[[NDArray[np.uint8], Float32, Float32], Reading]
-"""Runs the network: `(1, C, H, W)` images, `(3,)` near, `(N, 2)` corners; see `KeypointReader`."""
+KeypointRead = Callable[[NDArray[np.uint8], Float32, Float32, Float32], Reading]
+"""Runs the network: `(1, C, H, W)` images, `(3,)` near, `(N, 2)` corners, `(2,)` layers; see `KeypointReader`."""
 
 
 @dataclass(frozen=True)
@@ -204,30 +207,43 @@ def keypoint_plan(
     goal: Goal,
     *,
     camera_size: tuple[int, int],
+    knows_layers: bool = False,
 ) -> Plan:
     """Where to pick and where to place, by a network whose training pictures a camera took at `camera_size` pixels.
 
     The pick's yaw is that of the object's sides, the long ones where it has any; the place's that of the goal's, turned
     by whole symmetries so that the hand turns least. Confidence is the share of the heat maps' weight near the points,
-    the smaller of the two. Raises `BaggieError` when no bag is in sight, or when the goal, or what is pointed at, lies
-    outside the part of the picture in which the training attempts took place.
+    the smaller of the two. A network that knows layers (`knows_layers`) knows several bags: where nobody points at one,
+    it takes the one at the heat map's peak, and says how sure it is of where that is. Heights are counted by the goal's
+    layers. Raises `BaggieError` when no bag is in sight, when the goal, or what is pointed at, lies outside the part of
+    the picture in which the training attempts took place, and for layers above the table unless the network knows them.
     """
     size = require_observation(observation).size
+    if not knows_layers:
+        require_on_table(goal, "keypoint")
     picture, goal = at_training_size(observation, goal, view.picture, camera_size)
     _check_view(view, goal.corners, "the goal", size)
-    near = _ANYWHERE
+    near = np.array([0.0, 0.0, ANYWHERE_CELLS], np.float32)
     if goal.object_at is not None:
         _check_view(view, np.array([goal.object_at]), "the object pointed at", size)
         cell = apply_homography(np.linalg.inv(view.from_input() @ CELLS_TO_INPUT), [goal.object_at])[0]
-        near = np.array([*cell, _POINTED_CELLS], np.float32)
+        near = np.array([*cell, POINTED_CELLS], np.float32)
     image = goal_input.network_input(view.cut(picture), view.goal_to_input(goal))
     corners = apply_homography(view.normalize(), goal.corners).astype(np.float32)
-    found = read(image[None], near, corners)
-    sure = float(found.share.min())
-    if found.share[0] < _IN_SIGHT:
+    layers = np.array([goal.object_layer, goal.layer], np.float32)
+    found = read(image[None], near, corners, layers)
+    share, heat = found.share[0], found.heat[0]
+    in_sight = share >= _IN_SIGHT
+    if knows_layers and goal.object_at is None:
+        # Several bags that can be picked share the heat map; the one at its peak is as if it were pointed at.
+        in_sight = 1 / np.square(heat).sum() < _SPREAD_OUT * heat.size
+        v, u = np.unravel_index(heat.argmax(), heat.shape)
+        found = read(image[None], np.array([u, v, POINTED_CELLS], np.float32), corners, layers)
+    if not in_sight:
         raise BaggieError(
-            f"no bag in sight: only {found.share[0]:.0%} of the heat map is at its peak; put one into the workspace"
+            f"no bag in sight: only {share:.0%} of the heat map is at its peak; put one into the workspace"
         )
+    sure = float(found.share.min())
     pick = PlanarPose(float(found.xy[0, 0]), float(found.xy[0, 1]), float(found.yaw))
     yaw = place_yaw(found.goal_xy.astype(float), int(found.symmetry), pick.yaw)
     place = PlanarPose(float(found.xy[1, 0]), float(found.xy[1, 1]), yaw)
@@ -235,7 +251,18 @@ def keypoint_plan(
         name: _over_picture(view, heat) for name, heat in zip(("pick", "place"), found.heat, strict=True)
     }
     pick_within, place_within = (float(r) if r > 0 else None for r in found.within_m)
-    return Plan(PickPlace(pick, place), min(sure, 1.0), pick_within, place_within, views)
+    action = PickPlace(pick, place, goal.object_layer * LAYER_M, goal.layer * LAYER_M)
+    return Plan(action, min(sure, 1.0), pick_within, place_within, views)
+
+
+def require_on_table(goal: Goal, name: str) -> None:
+    """Raise `BaggieError` where a goal has to do with stacks, for a policy of this name that knows the table only."""
+    if goal.layer or goal.object_layer:
+        raise BaggieError(
+            f"expected a policy that learned from stacks, as the goal takes a bag from layer {goal.object_layer} to "
+            f"layer {goal.layer}, got a {name} policy that knows the table only; collect bag-stack and train keypoint "
+            "on it"
+        )
 
 
 def place_yaw(corners: FloatArray, symmetry: int, pick_yaw: float) -> float:
@@ -312,8 +339,9 @@ def regression_plan(
     """Pick and place positions; yaw 0 and confidence 1, as it has no word on either.
 
     `picture_size`: `(width, height)` of the training pictures, which a camera took at `camera_size`; pixels. Raises
-    `BaggieError` as `at_training_size` does.
+    `BaggieError` as `at_training_size` does, and for layers above the table.
     """
+    require_on_table(goal, "regression")
     image = regression_input(drawn, *at_training_size(observation, goal, picture_size, camera_size))
     pick, place = read(image[None])[0]
     return Plan(PickPlace(PlanarPose(*map(float, pick)), PlanarPose(*map(float, place))))

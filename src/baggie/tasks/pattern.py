@@ -23,15 +23,13 @@ import yaml
 from baggie.errors import BaggieError
 from baggie.files import parse_yaml, read_text
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
-from baggie.types import Image
+from baggie.types import LAYER_M, Image
 from baggie.vision.draw import paint_layers
 
 MOST_BAGS = 8
 """Of a pattern: a simulated arm takes seconds of a processor for each, and more the higher they lie."""
 PITCH_M = 0.13
 """Between the middles of bags side by side, of 12 cm each: what is laid there by a hand touches no other."""
-LAYER_M = 0.022
-"""By how much a bag lies higher than what carries it, on the average; measured: 18 to 25 mm."""
 SUPPORT_M = 0.09
 """A bag is carried by those of the layer below whose middles are so near to its own."""
 _APART_M = 0.12

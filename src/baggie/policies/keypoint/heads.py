@@ -17,6 +17,7 @@ A tilted camera shears the sides of a square, so both sides' phases are averaged
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,6 +67,14 @@ def local_soft_argmax(logits: Tensor, radius: float) -> Tensor:
 def near_only(logits: Tensor, points: Tensor, radius: float | Tensor) -> Tensor:
     """`(B, K, h, w)` with nothing left further than `radius` cells from the points `(B, K, 2)` (u, v) in cells."""
     return torch.where(squared_distances(logits, points) <= radius**2, logits, _NOWHERE)
+
+
+def picked_near(logits: Tensor, near: Tensor) -> Tensor:
+    """Heat map logits `(B, 2, h, w)` whose picks, the first, are near: `near` `(B, 3)`, (u, v) and within how many
+    cells.
+    """
+    pick = near_only(logits[:, :1], near[:, None, :2], near[:, 2].view(-1, 1, 1, 1))
+    return torch.cat([pick, logits[:, 1:]], dim=1)
 
 
 def squared_distances(maps: Tensor, points: Tensor) -> Tensor:
@@ -169,6 +178,25 @@ def yaw_of_phase(phase: Tensor, jacobian: Tensor, symmetry: int = SQUARE, iterat
     return torch.remainder(yaw + turn / 2, turn) - turn / 2
 
 
+_SURE_LONG, _SURE_SQUARE = 0.5, 0.25
+"""Phases are as long as they are certain: below these, a thing is not taken for long, or for square."""
+
+
+def certain_yaw(phases: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor]:
+    """Phases `(2, 2)` as a square and as a long thing -> yaw, radians, and how often a turn it looks the same."""
+    square, long = phases
+    is_long = long.norm() > _SURE_LONG
+    is_square = square.norm() > _SURE_SQUARE
+    as_long, as_square = (
+        yaw_of_phase(long, jacobian, LONG),
+        yaw_of_phase(square, jacobian, SQUARE),
+    )
+    zero = torch.zeros_like(as_long)
+    yaw = torch.where(is_long, as_long, torch.where(is_square, as_square, zero))
+    symmetry = torch.where(is_long, zero + LONG, torch.where(is_square, zero + SQUARE, zero))
+    return yaw, symmetry
+
+
 _ITERATIONS = 20
 """Of the fit; it settles in about five."""
 _FAR = 4
@@ -193,34 +221,55 @@ def homography_jacobian(matrix: Tensor, points: Tensor) -> Tensor:
 
 
 class PlanarMap(nn.Module):
-    """A lens and a homography: points of the picture -> points of one plane in the robot's base frame.
+    """A lens, a homography, and what stacks shift: points of the picture -> planes of the robot's base frame.
 
     Points of the picture are normalised so that its centre is (0, 0) and its left and right edges are at u =
     -1 and 1. A point p at q = p - c from the centre of distortion c moves to c + q (1 + k1 |q|² + k2 |q|⁴),
     then through the homography. Twelve numbers, so that 200 noisy labels settle it to a fraction of their
-    noise. Right on one plane only: the height at which the labels' bags lie.
+    noise. Right on one plane: the height at which bags lie on the table.
+
+    What lies on n others, in the layer n, is nearer to the camera's foot, the place right below the camera, than it
+    looks: seen at p on the table, it is at p + n k (foot - p), where k is a layer's share of the camera's height. Three
+    more numbers, `lift`, are (k foot_x, k foot_y, k), metres and a share, in which that is linear. They are 0, and not
+    trained, unless labels of several layers told them.
     """
 
     homography: Tensor
     distortion: Tensor
     center: Tensor
+    lift: Tensor
 
     def __init__(self) -> None:
         super().__init__()
         self.homography = nn.Parameter(torch.eye(3).flatten()[:8].clone())
         self.distortion = nn.Parameter(torch.zeros(2))
         self.center = nn.Parameter(torch.zeros(2))
+        self.lift = nn.Parameter(torch.zeros(3), requires_grad=False)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:
+        state_dict.setdefault(f"{prefix}lift", torch.zeros(3))  # older versions knew the table only
+        super()._load_from_state_dict(state_dict, prefix, *args)
+
+    @property
+    def knows_layers(self) -> bool:
+        """Whether labels of several layers told it what these shift."""
+        return bool(self.lift.any())
 
     def matrix(self) -> Tensor:
         """The homography, `(3, 3)`; its last element is 1."""
         return torch.cat([self.homography, self.homography.new_ones(1)]).view(3, 3)
 
-    def forward(self, points: Tensor) -> Tensor:
-        """`(..., 2)` normalised picture coordinates -> `(..., 2)` metres."""
-        return apply_homographies(self.matrix(), self._straighten(points))
+    def forward(self, points: Tensor, layer: Tensor | None = None) -> Tensor:
+        """`(..., 2)` normalised picture coordinates -> `(..., 2)` metres; each in its layer `(...)`, all on the table
+        unless given.
+        """
+        xy = apply_homographies(self.matrix(), self._straighten(points))
+        if layer is None:
+            return xy
+        return xy + layer.unsqueeze(-1) * (self.lift[:2] - self.lift[2] * xy)
 
-    def jacobian(self, points: Tensor) -> Tensor:
-        """Derivative of `forward`: `(..., 2)` -> `(..., 2, 2)`."""
+    def jacobian(self, points: Tensor, layer: Tensor | None = None) -> Tensor:
+        """Derivative of `forward` by the points: `(..., 2)` -> `(..., 2, 2)`."""
         k1, k2 = self.distortion
         offset = points - self.center
         r2 = (offset**2).sum(dim=-1)[..., None, None]
@@ -228,12 +277,17 @@ class PlanarMap(nn.Module):
         identity = torch.eye(2, dtype=points.dtype, device=points.device)
         lens = identity * (1 + k1 * r2 + k2 * r2**2) + outer * (2 * k1 + 4 * k2 * r2)
         plane = homography_jacobian(self.matrix(), self._straighten(points))
-        return torch.matmul(plane, lens)
+        on_table = torch.matmul(plane, lens)
+        return on_table if layer is None else (1 - layer * self.lift[2])[..., None, None] * on_table
 
-    def inverse(self, xy: Tensor, iterations: int = 8) -> Tensor:
-        """`(..., 2)` metres -> `(..., 2)` normalised picture coordinates, by Newton's method from the
-        homography's.
+    def inverse(self, xy: Tensor, layer: Tensor | None = None, iterations: int = 8) -> Tensor:
+        """`(..., 2)` metres, each in its layer `(...)` -> `(..., 2)` normalised picture coordinates.
+
+        By Newton's method from the homography's.
         """
+        if layer is not None:
+            up = layer.unsqueeze(-1)
+            xy = (xy - up * self.lift[:2]) / (1 - up * self.lift[2])
         points = apply_homographies(torch.linalg.inv(self.matrix()), xy)
         for _ in range(iterations):
             residual = (xy - self(points)).unsqueeze(-1)
@@ -245,29 +299,38 @@ class PlanarMap(nn.Module):
         r2 = (offset**2).sum(dim=-1, keepdim=True)
         return self.center + offset * (1 + self.distortion[0] * r2 + self.distortion[1] * r2**2)
 
-    def fit(self, points: FloatArray, xy: FloatArray, noise_m: float | FloatArray = 0.005) -> FloatArray:
+    def fit(
+        self,
+        points: FloatArray,
+        xy: FloatArray,
+        noise_m: float | FloatArray = 0.005,
+        layer: FloatArray | None = None,
+    ) -> FloatArray:
         """Fit to pairs `(N, 2)` normalised and `(N, 2)` metres; returns the residuals `(N, 2)` metres.
 
         Gauss-Newton on Huber's loss. Weak priors on the lens (coefficients within about 0.2, its centre
-        within 0.1 of the picture's) make few or clustered pairs give a plain homography rather than nonsense.
+        within 0.1 of the picture's) make few or clustered pairs give a plain homography rather than nonsense,
+        and one on `lift` (each number within about 0.05) labels that hardly leave the table.
         `noise_m`: what is expected of a label, of all or `(N,)` of each; residuals over twice that count linearly.
+        `layer` `(N,)`: of each pair. Where any is above the table, `lift` is fitted along, and trained from then on.
         Raises `DataError` when there are too few pairs, or they lie in one line.
         """
         source, target = np.asarray(points, float), np.asarray(xy, float)
-        pixels = torch.from_numpy(source)
+        stacked = layer is not None and bool(np.any(layer))
+        given = (torch.from_numpy(source), torch.from_numpy(np.asarray(layer, float)) if stacked else None)
         noise = np.repeat(np.broadcast_to(np.asarray(noise_m, float), len(source)), 2)
 
         def residuals(theta: FloatArray) -> FloatArray:
             with torch.no_grad():
-                mapped = torch.func.functional_call(self, _named(theta), (pixels,))
+                mapped = torch.func.functional_call(self, _named(theta), given)
             return np.asarray(mapped.numpy() - target).ravel()
 
         def loss(theta: FloatArray) -> float:
             off = np.linalg.norm(residuals(theta).reshape(-1, 2), axis=1) / noise[::2]
             return float(np.where(off < 2, off**2, 4 * off - 4).sum())
 
-        prior = np.r_[np.zeros(8), np.full(2, 1 / 0.2), np.full(2, 1 / 0.1)]
-        robust, least_squares = _starts(source, target)
+        prior = np.r_[np.zeros(8), np.full(2, 1 / 0.2), np.full(2, 1 / 0.1), np.full(3 * stacked, 1 / 0.05)]
+        robust, least_squares = (np.r_[start, np.zeros(3 * stacked)] for start in _starts(source, target))
         theta = robust if loss(robust) <= _FAR * loss(least_squares) else least_squares
         steps = 1e-6 * np.eye(len(theta))
         for _ in range(_ITERATIONS):
@@ -278,6 +341,7 @@ class PlanarMap(nn.Module):
             a = np.vstack([np.stack(slopes, axis=1) * weight[:, None], np.diag(prior)])
             theta = theta - np.linalg.lstsq(a, np.r_[r * weight, prior * theta], rcond=None)[0]
         self.load_state_dict(_named(theta))
+        self.lift.requires_grad_(stacked)
         return residuals(theta).reshape(-1, 2)
 
 
@@ -295,6 +359,7 @@ def _starts(source: FloatArray, target: FloatArray) -> list[FloatArray]:
 
 
 def _named(theta: FloatArray) -> dict[str, Tensor]:
-    """Twelve numbers as the parameters of a `PlanarMap`."""
+    """Twelve numbers, or fifteen, as the parameters of a `PlanarMap`."""
     values = torch.from_numpy(theta)
-    return {"homography": values[:8], "distortion": values[8:10], "center": values[10:]}
+    named = {"homography": values[:8], "distortion": values[8:10], "center": values[10:12]}
+    return named | ({"lift": values[12:]} if len(values) > 12 else {})

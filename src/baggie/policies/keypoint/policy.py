@@ -21,17 +21,15 @@ from baggie.geometry import FloatArray, apply_homography
 from baggie.options.values import Backbone
 from baggie.policies.keypoint.heads import (
     CHANNELS,
-    LONG,
-    SQUARE,
     PlanarMap,
     apply_homographies,
+    certain_yaw,
     edge_phases,
     heat_maps,
     homography_jacobian,
     local_soft_argmax,
-    near_only,
+    picked_near,
     squared_distances,
-    yaw_of_phase,
 )
 from baggie.policies.learned import LearnedPolicy
 from baggie.policies.planning import CELL, Float32, GoalInput, Reading, View, keypoint_plan, to_picture
@@ -184,13 +182,19 @@ class KeypointNet(nn.Module):
             if parameter.dim() == 4:  # a convolution's: this layout is the faster one on a CPU
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
-    def forward(self, images: Tensor, to_picture: Tensor) -> Keypoints:
+    def forward(
+        self, images: Tensor, to_picture: Tensor, near: Tensor | None = None, layers: Tensor | None = None
+    ) -> Keypoints:
         """Images `(B, C, H, W)` uint8; `to_picture` `(B, 3, 3)` takes their cells to the normalised picture.
 
         A warped image needs nothing but its own `to_picture`: that is all there is to augmentation without
-        calibration.
+        calibration. `near` `(B, 3)`: points of the picks are looked for there only (`picked_near`), while their heat
+        maps stay whole. `layers` `(B, 2)` of pick and place: both on the table unless given.
         """
-        return self.read(*self.fields(images), to_picture)
+        logits, field = self.fields(images)
+        if near is None:
+            return self.read(logits, field, to_picture, layers)
+        return self.read(picked_near(logits, near), field, to_picture, layers)._replace(logits=logits)
 
     def fields(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """`(B, C, H, W)` uint8 -> heat map logits `(B, 2, H / 2, W / 2)`, phases `(B, 4, H / 4, W / 4)`."""
@@ -204,13 +208,15 @@ class KeypointNet(nn.Module):
         """What the phases are read from beside the features: `edge_phases`."""
         return edge_phases(images)
 
-    def read(self, logits: Tensor, field: Tensor, to_picture: Tensor) -> Keypoints:
+    def read(
+        self, logits: Tensor, field: Tensor, to_picture: Tensor, layers: Tensor | None = None
+    ) -> Keypoints:
         """Points and poses from what `fields` gives."""
         cells = self.locate(logits)
         matrix = to_picture.unsqueeze(1)
         points = apply_homographies(matrix, cells)
-        jacobian = self.to_robot.jacobian(points) @ homography_jacobian(matrix, cells)
-        return Keypoints(self.to_robot(points), jacobian, logits, cells, field)
+        jacobian = self.to_robot.jacobian(points, layers) @ homography_jacobian(matrix, cells)
+        return Keypoints(self.to_robot(points, layers), jacobian, logits, cells, field)
 
     def locate(self, logits: Tensor) -> Tensor:
         """`(B, K, h, w)` -> `(B, K, 2)`: the points as (u, v) in cells."""
@@ -251,8 +257,6 @@ def _twice(x: Tensor) -> Tensor:
     return F.interpolate(x, scale_factor=2.0, mode="bilinear")
 
 
-_SURE_LONG, _SURE_SQUARE = 0.5, 0.25
-"""Phases are as long as they are certain: below these, a thing is not taken for long, or for square."""
 _PEAK = 4.0
 """Cells around the point in which a confident heat map has all its weight."""
 
@@ -269,16 +273,19 @@ class KeypointReader(nn.Module):
         device = network.to_robot.homography.device
         self.register_buffer("to_picture", torch.from_numpy(to_picture).float().unsqueeze(0).to(device))
 
-    def forward(self, images: Tensor, near: Tensor, corners: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        self, images: Tensor, near: Tensor, corners: Tensor, layers: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
         """Images `(1, C, H, W)` uint8; `near` `(3,)`: the object is within so many cells (last) of (u, v) in cells;
-        `corners` `(N, 2)` of the goal in the normalised picture.
+        `corners` `(N, 2)` of the goal in the normalised picture; `layers` `(2,)` of pick and place.
         """
         logits, field = self.network.fields(images)
-        pick = near_only(logits[:, :1], near[:2].view(1, 1, 2), near[2])
-        found = self.network.read(torch.cat([pick, logits[:, 1:]], dim=1), field, self.to_picture)
+        logits = picked_near(logits, near.unsqueeze(0))
+        above = None if layers is None else layers.unsqueeze(0)
+        found = self.network.read(logits, field, self.to_picture, above)
         heat = found.heat()
         share = (heat * (squared_distances(heat, found.cells) < _PEAK**2)).sum(dim=(-2, -1))
-        yaw, symmetry = _yaw(found.phases()[0], found.jacobian[0, 0])
+        yaw, symmetry = certain_yaw(found.phases()[0], found.jacobian[0, 0])
         return (
             found.xy[0],
             yaw,
@@ -286,23 +293,9 @@ class KeypointReader(nn.Module):
             share[0],
             self.network.radius(found)[0],
             heat[0],
+            # As on the table: a layer scales the goal, and turns no side of it.
             self.network.to_robot(corners),
         )
-
-
-def _yaw(phases: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor]:
-    """Phases `(2, 2)` as a square and as a long thing -> yaw, radians, and how often a turn it looks the same."""
-    square, long = phases
-    is_long = long.norm() > _SURE_LONG
-    is_square = square.norm() > _SURE_SQUARE
-    as_long, as_square = (
-        yaw_of_phase(long, jacobian, LONG),
-        yaw_of_phase(square, jacobian, SQUARE),
-    )
-    zero = torch.zeros_like(as_long)
-    yaw = torch.where(is_long, as_long, torch.where(is_square, as_square, zero))
-    symmetry = torch.where(is_long, zero + LONG, torch.where(is_square, zero + SQUARE, zero))
-    return yaw, symmetry
 
 
 class KeypointPolicy(LearnedPolicy):
@@ -348,16 +341,22 @@ class KeypointPolicy(LearnedPolicy):
             observation,
             require_goal(goal),
             camera_size=self.camera_size,
+            knows_layers=self.knows_layers,
         )
+
+    @property
+    def knows_layers(self) -> bool:
+        """Whether it learned from stacks."""
+        return self.network.to_robot.knows_layers
 
     def reader(self) -> KeypointReader:
         """The network with all that is computed from it, in evaluation mode: what is exported."""
         return KeypointReader(self.network, to_picture(self.view)).eval()
 
-    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32) -> Reading:
+    def read(self, images: NDArray[np.uint8], near: Float32, corners: Float32, layers: Float32) -> Reading:
         """Run the network; see `KeypointRead`."""
         with torch.inference_mode():
-            given = (torch.from_numpy(array).to(self.device) for array in (images, near, corners))
+            given = (torch.from_numpy(array).to(self.device) for array in (images, near, corners, layers))
             return Reading(*(part.cpu().numpy() for part in self.reader()(*given)))
 
 

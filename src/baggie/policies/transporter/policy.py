@@ -20,7 +20,7 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, Grid, PlanarPose, wrap_angle
 from baggie.policies.checkpoint import at_training_size
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.planning import GoalInput
+from baggie.policies.planning import GoalInput, require_on_table
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import PlaceAngle, Scores
@@ -166,7 +166,7 @@ class TransporterPolicy(LearnedPolicy):
         or over the camera's own picture where that was rectified.
         Raises `BaggieError` where there is no height map, one with other pixels than it was trained on, or no goal
         where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
-        goal leaves it or the grid.
+        goal leaves it or the grid, or is in a layer above the table.
         """
         straight, goal = self._rectified(require_observation(observation), goal)
         grid, height = self._checked(straight)
@@ -245,7 +245,9 @@ class TransporterPolicy(LearnedPolicy):
         """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""
         if self.rectifier is None:
             return observation, goal
-        picture, goal = at_training_size(observation, require_goal(goal), self.picture_size, self.camera_size)
+        goal = require_goal(goal)
+        require_on_table(goal, self.name)  # the picture is rectified at one height
+        picture, goal = at_training_size(observation, goal, self.picture_size, self.camera_size)
         if not self.rectifier.contains(goal.corners):
             (u, v), grid = goal.center, self.grid
             raise BaggieError(
