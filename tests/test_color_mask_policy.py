@@ -46,7 +46,7 @@ def test_plans_from_the_bag_to_the_goal(cell, policy, pose, scene):
     assert plan.action.place.distance(target) < 0.002
     assert abs(wrap_angle(plan.action.place.yaw - yaw, np.pi / 2)) < np.deg2rad(2)
     assert 0.7 < plan.confidence <= 1.0
-    assert plan.views["object"].shape == (SIZE[1], SIZE[0])
+    assert plan.views["pick"].shape == (SIZE[1], SIZE[0])
 
 
 def test_smaller_pictures_of_the_same_camera_will_do(cell, policy):

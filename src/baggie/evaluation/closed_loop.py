@@ -161,8 +161,8 @@ def measure(episodes: Sequence[Episode], radius_cm: float) -> dict[str, Any]:
     """`success`, strictly or within `radius_cm`; steps and times; failures by cause; and what the task gives besides.
 
     Of objects with a goal in the picture: `success_within` 1, 2, 3 cm, where they ended, and how good plans were. Of
-    tasks that say themselves where things go: `ravens_success` and `partial_credit`. `asked_for_help` is the share of
-    episodes in which the plan was less sure than the workcell asks for.
+    tasks that say themselves where things go: `ravens_success` and `partial_credit`, and of stacked bags `layers`.
+    `asked_for_help` is the share of episodes in which the plan was less sure than the workcell asks for.
     """
     count, steps = len(episodes), [step for episode in episodes for step in episode.steps]
     failed = [episode for episode in episodes if not episode.succeeded(radius_cm)]
@@ -196,10 +196,23 @@ def _of_landings(landings: Sequence[Landing], radius_cm: float) -> dict[str, Any
 
 
 def _of_credits(credits: Sequence[Credit]) -> dict[str, Any]:
+    layered = [credit for credit in credits if credit.layers]
     return {
         "ravens_success": success_rate(sum(credit.ravens_success for credit in credits), len(credits)),
         "partial_credit": summary([credit.partial_credit for credit in credits]),
+        **({"layers": _of_layers(layered)} if layered else {}),
     }
+
+
+def _of_layers(credits: Sequence[Credit]) -> list[dict[str, Any]]:
+    """Of each layer of a pattern, from below: how often it is right at the end, and how far off its bags are then."""
+    of_all = zip(*(zip(credit.layers, credit.offsets_cm, strict=True) for credit in credits), strict=True)
+    layers = []
+    for of_one in of_all:
+        offsets = [off for _, layer in of_one for off in layer if off is not None]
+        right = success_rate(sum(right for right, _ in of_one), len(of_one))
+        layers.append({"success": right, **({"offset_cm": summary(offsets)} if offsets else {})})
+    return layers
 
 
 def _of_plans(episodes: Sequence[Episode]) -> dict[str, Any]:

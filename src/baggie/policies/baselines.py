@@ -19,15 +19,19 @@ from baggie.options.values import COLOR_MASK, ORACLE
 from baggie.policies import checkpoint
 from baggie.policies.base import Policy
 from baggie.types import Goal, Observation, PickPlace, Plan, require_goal, require_observation
-from baggie.vision.color_mask import find_bag
+from baggie.vision.color_mask import find_bags
 
 CONFIG_FILE = "config.yaml"
 
 
 class ColorMaskPolicy(Policy):
-    """Picks the object where its colour is, places it where the goal's outline is; right in one cell."""
+    """Picks an object where its colour is, places it where the goal's outline is; right in one cell.
+
+    Of several the largest to be seen, unless the goal says which.
+    """
 
     name = COLOR_MASK
+    wants_goal = True
 
     def __init__(self, image_to_robot: ImageToRobot, object_color: tuple[int, int, int]) -> None:
         """Use a map fitted in the cell the pictures come from, and the object's RGB colour."""
@@ -49,17 +53,20 @@ class ColorMaskPolicy(Policy):
                 f"({u:.0f}, {v:.0f}); mark a place that is in view"
             )
         to_robot = self.image_to_robot.for_size(observation.size)
-        found = find_bag(observation.color, self.object_color)
-        if found is None:
+        bags = [bag for bag in find_bags(observation.color, self.object_color) if bag is not None]
+        if not bags:
             raise BaggieError(
                 f"expected an object of colour RGB {self.object_color} in the picture, found none; "
                 "bring it into view or choose another colour"
             )
+        at = goal.object_at
+        found = bags[0] if at is None else min(bags, key=lambda bag: float(np.hypot(*(bag.center - at))))
         pick = _pose(to_robot, found.center, found.yaw)
+        masks = np.any([bag.mask for bag in bags], axis=0).astype(np.float32)
         # On the table: the middle of what a tilted camera sees is not what it sees of the middle.
         x, y = to_robot.to_robot(goal.corners).mean(axis=0)
         place = PlanarPose(float(x), float(y), to_robot.yaw_to_robot(goal.center, _goal_yaw(goal)))
-        return Plan(PickPlace(pick, place), found.confidence, views={"object": found.mask.astype(np.float32)})
+        return Plan(PickPlace(pick, place), found.confidence, views={"pick": masks})
 
     def save(self, folder: Path) -> None:
         """Write `image-to-robot.yaml`, then `config.yaml`: where that is, all is."""
