@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from baggie.errors import BaggieError
-from baggie.geometry import PlanarPose
+from baggie.geometry import FloatArray, PlanarPose
 from baggie.policies.memory import Planner
 from baggie.tasks.pattern import LAYER_M, Pattern
 from baggie.types import Goal, Observation, Outcome, Plan
@@ -35,6 +35,8 @@ _BESIDE_M = 0.2
 """Where a policy is asked only where a bag lies, the region of its goal is so far from it, as it has learned them."""
 _WIDER = 1.15
 """What is built is left out by outlines so many times as wide: nothing next to them is as near as that."""
+_ALIKE = 30.0
+"""Colours that are nearer in RGB, of 255, may be the same in another light."""
 _FAINT = 0.05
 """Of the brightest of a heat map: where nothing beside what is built is brighter, no bag lies there."""
 
@@ -50,6 +52,31 @@ class Care:
     """Whether a bag that landed beside where it was to be is laid there again before others are laid on it."""
     aim_anew: bool = True
     """Whether bags go to where those that carry them truly lie; else to where those should have been."""
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The picture in which the last plan was asked for, and the goal in it, which says which bag is to go there."""
+
+    seen: Observation
+    goal: Goal
+
+    def left_as_it_was(self, after: Observation, at: tuple[float, float]) -> bool:
+        """Whether a place has the colour still that it had, not that of the bag which was to be laid there.
+
+        So it has where that slid off what it was laid on, which is seen there again. False where the two are alike.
+        """
+        assert self.goal.object_at is not None
+        was, bag = self._color(self.seen, at), self._color(self.seen, self.goal.object_at)
+        if np.linalg.norm(was - bag) < _ALIKE:
+            return False
+        here = self._color(after, at)
+        return bool(np.linalg.norm(here - was) < np.linalg.norm(here - bag))
+
+    def _color(self, seen: Observation, at: tuple[float, float]) -> FloatArray:
+        """`(3,)`: the median RGB within half of a bag's outline about a pixel."""
+        inner = (self.goal.corners - self.goal.center) / 2 + at
+        return np.asarray(np.median(seen.color[region_mask(inner, seen.size) > 0], axis=0))
 
 
 class Builder:
@@ -72,6 +99,7 @@ class Builder:
         self._lies: dict[int, PlanarPose] = {}
         self._laid_anew: Counter[int] = Counter()
         self._unseen: int | None = None
+        self._asked: _Asked | None = None
         self.slot = 0
         """The number of the slot that the last goal was for."""
 
@@ -87,7 +115,7 @@ class Builder:
         """
         laid, self._unseen = self._unseen, None
         if laid is not None:
-            self._find(laid, self._aim(laid), seen)
+            self._find(laid, self._aim(laid), seen, self._asked)
         slot = next(filter(self._wanting, range(len(self._pattern.slots))), None)
         if slot is None:
             return None
@@ -111,6 +139,7 @@ class Builder:
         new = self.slot not in self._lies
         if new and any(plan.action.pick.distance(pose) < half for pose in self._lies.values()):
             raise self._no_bag()
+        self._asked = _Asked(observation, goal)
         tallest = 1 + max((self._pattern.slots[slot].layer for slot in self._lies), default=-1)
         return replace(plan, action=replace(plan.action, tallest_m=tallest * LAYER_M))
 
@@ -144,10 +173,14 @@ class Builder:
         off = np.mean([self._lies[each].xy - self._pattern.slots[each].pose.xy for each in below], axis=0)
         return replace(nominal, x=nominal.x + float(off[0]), y=nominal.y + float(off[1]))
 
-    def _find(self, slot: int, expected: PlanarPose, seen: Observation) -> None:
-        """Take note of where a slot's bag lies; where it has fallen, of what became of those that it was laid on."""
-        found = self._seen_near(expected, self._pattern.slots[slot].layer, seen)
-        if found is not None:
+    def _find(self, slot: int, expected: PlanarPose, seen: Observation, laid: _Asked | None = None) -> None:
+        """Take note of where a slot's bag lies; where it has fallen, of what became of those that it was laid on.
+
+        `laid`: what had been asked for when it was laid just now; else it lay there before.
+        """
+        layer = self._pattern.slots[slot].layer
+        found = self._seen_near(expected, layer, seen)
+        if found is not None and not (laid and laid.left_as_it_was(seen, self._pixel(found, layer))):
             self._lies[slot] = found
             return
         self._lies.pop(slot, None)

@@ -81,7 +81,9 @@ def check_taught(policy: str, task: str) -> None:
     stacks, by_goal = TASKS[task].pattern is not None, config["policy"] in _TRAINED_BY_CAMERA
     instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
     words = {name: known.instruction for name, known in TASKS.all().items()}
-    taught = next((name for name in words if words[name] == instruction), USUAL_TASK if by_goal else task)
+    taught = next(
+        (name for name in words if words[name] == instruction), USUAL_TASK if stacks and by_goal else task
+    )
     if taught != (needed := STACKING_TASK if stacks and by_goal else task):
         raise BaggieError(
             f"expected a policy that was taught {needed}, got {policy}, which was taught {taught}; "
