@@ -204,14 +204,14 @@ def _of_credits(credits: Sequence[Credit]) -> dict[str, Any]:
     }
 
 
-def _of_layers(credits: Sequence[Credit]) -> list[dict[str, Any]]:
-    """Of each layer of a pattern, from below: how often it is right at the end, and how far off its bags are then."""
+def _of_layers(credits: Sequence[Credit]) -> dict[str, Any]:
+    """Of each layer of a pattern, from 1 below: how often it is right at the end, and how far off its bags are then."""
     of_all = zip(*(zip(credit.layers, credit.offsets_cm, strict=True) for credit in credits), strict=True)
-    layers = []
-    for of_one in of_all:
+    layers: dict[str, Any] = {}
+    for number, of_one in enumerate(of_all, start=1):
         offsets = [off for _, layer in of_one for off in layer if off is not None]
         right = success_rate(sum(right for right, _ in of_one), len(of_one))
-        layers.append({"success": right, **({"offset_cm": summary(offsets)} if offsets else {})})
+        layers[str(number)] = {"success": right, **({"offset_cm": summary(offsets)} if offsets else {})}
     return layers
 
 

@@ -210,6 +210,7 @@ class ColorOfTheBag(Policy):
     """The colour mask, told the colour of the bag in each scene: what a person writes into the workcell's file."""
 
     name = ColorMaskPolicy.name
+    wants_goal = True
 
     def __init__(self, policy: ColorMaskPolicy, cell: Workcell) -> None:
         self.policy, self.cell = policy, cell
