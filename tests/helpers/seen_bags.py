@@ -13,9 +13,11 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, Rectangle
 from baggie.policies.base import Policy
+from baggie.tasks.conditions import State
 from baggie.tasks.pattern import LAYER_M, SUPPORT_M
 from baggie.types import Goal, Observation, Outcome, PickPlace, Plan
 from baggie.workcell.workcell import Workcell, WorkcellSettings, middle_m
+from helpers.stacks import ON_TABLE_M, lying
 from helpers.synthetic import image_to_robot, to_pixels
 
 SIZE = (640, 360)
@@ -37,6 +39,11 @@ class BagTable(Workcell):
         self.bags = {number: (pose, 0) for number, pose in enumerate(bags)}
         self.lands = deque(lands)
         self.done: list[PickPlace] = []
+
+    def state(self) -> State:
+        return lying(
+            {f"bag {n}": (pose, ON_TABLE_M + layer * LAYER_M) for n, (pose, layer) in self.bags.items()}
+        )
 
     def look(self) -> Observation:
         picture = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)

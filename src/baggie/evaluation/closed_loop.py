@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,8 @@ def _same_evaluation(options: EvaluateOptions, terms: Terms) -> None:
         **terms.to_json(),
     }
     found = json.loads(path.read_text()) if path.exists() else {}
-    for key, value in asked.items():
+    no_longer = {entry.name: None for entry in fields(Terms) if entry.name in found}
+    for key, value in (no_longer | asked).items():
         told = found.get(key, UNKNOWN if key in _LATER or not found else None)
         if told not in (UNKNOWN, value):
             raise BaggieError(

@@ -18,7 +18,6 @@ from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose
 from baggie.operator import Operator, progress
 from baggie.options.evaluating import EvaluateOptions
-from baggie.options.values import USUAL_TASK
 from baggie.pictures import read_picture, same_shape
 from baggie.policies import ColorMaskPolicy, LearnedPolicy, OraclePolicy, Policy, checkpoint, load_policy
 from baggie.policies.baselines import CONFIG_FILE
@@ -81,10 +80,14 @@ def check_taught(policy: str, task: str) -> None:
     stacks, by_goal = TASKS[task].pattern is not None, config["policy"] in _TRAINED_BY_CAMERA
     instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
     words = {name: known.instruction for name, known in TASKS.all().items()}
-    taught = next(
-        (name for name in words if words[name] == instruction), USUAL_TASK if stacks and by_goal else task
-    )
-    if taught != (needed := STACKING_TASK if stacks and by_goal else task):
+    taught = next((name for name in words if words[name] == instruction), None)
+    needed = STACKING_TASK if stacks and by_goal else task
+    if taught is None and needed != task:
+        raise BaggieError(
+            f"expected a policy that was taught {needed}, got {policy}, which does not say so; collect {needed}, and "
+            "train on it"
+        )
+    if taught not in (None, needed):
         raise BaggieError(
             f"expected a policy that was taught {needed}, got {policy}, which was taught {taught}; "
             f"give --task {taught}, or another policy"

@@ -88,9 +88,18 @@ class Terms:
 
     @property
     def harder(self) -> str:
-        """In what scenes and goals are harder than those of the plain closed loop, in words; empty for nothing."""
+        """What differs from the plain closed loop in scenes, goals and patterns, in words; empty for nothing."""
         scenery = self.scenery if self.scenery not in (None, "plain") else ""
-        return ", ".join(filter(None, [scenery, _GOALS.get(self.goal or "", "")]))
+        one_color = "one colour" if self.one_color else ""
+        return ", ".join(
+            filter(None, [self._pattern_in_words, one_color, scenery, _GOALS.get(self.goal or "", "")])
+        )
+
+    @property
+    def _pattern_in_words(self) -> str:
+        if self.pattern is None or not self.pattern.startswith("slots:"):
+            return self.pattern or ""
+        return f"a pattern of {len(Pattern.parse(self.pattern).slots)} bags"
 
 
 def _pattern(options: EvaluateOptions) -> str | None:
