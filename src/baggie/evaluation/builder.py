@@ -1,8 +1,5 @@
 """Patterns of bags, built step by step by a policy that takes goals: from pictures alone, in any workcell.
 
-    for step in build(cell, policy, Pattern.parse("pyramid:3-2-1"), site=PlanarPose(0.5, 0.1)):
-        print(step.slot, step.outcome.failure)
-
 After each placement the policy is asked where the bag lies that it has laid. What is laid on it goes there, not to
 where it should have been; before that, what lies too far from where it was to be is laid anew.
 """
@@ -258,6 +255,9 @@ def build(
     click: Click | None = None,
 ) -> Iterator[BuildStep]:
     """Build a pattern whose own frame is at `site`, robot base frame, a pick and place a step; ends when all is built.
+
+    for step in build(cell, policy, Pattern.parse("pyramid:3-2-1"), PlanarPose(0.5, 0.1)):
+        print(step.slot, step.outcome.failure)
 
     `click` is asked for each new bag; unless given the policy chooses. Raises `BaggieError` where the pattern leaves
     the workspace, the policy finds no bag or is unsure, or the arm does not reach; called again it begins anew.
