@@ -144,8 +144,8 @@ def _same_evaluation(options: EvaluateOptions, terms: Terms) -> None:
         **terms.to_json(),
     }
     found = json.loads(path.read_text()) if path.exists() else {}
-    no_longer = {entry.name: None for entry in fields(Terms) if entry.name in found}
-    for key, value in (no_longer | asked).items():
+    no_longer = {entry.name: None for entry in fields(Terms) if entry.name in found.keys() - asked.keys()}
+    for key, value in (asked | no_longer).items():
         told = found.get(key, UNKNOWN if key in _LATER or not found else None)
         if told not in (UNKNOWN, value):
             raise BaggieError(
