@@ -120,6 +120,18 @@ def test_a_tower_laid_straight_stands_and_counts(cell) -> None:
     assert cell.demonstrate() is None
 
 
+def test_an_outline_in_a_layer_is_where_the_bag_laid_there_appears(cell) -> None:
+    lay(cell, 0.0, 0.0, 0.0)
+    cell.wait(1.0)
+    (stacked,), state = cell.scene.conditions, cell.state()
+    for bag, slot in zip(stacked.bags, stacked.pattern.slots, strict=True):
+        truly = cell.world.cell.project(state.poses[bag][None, :3, 3])[0]
+        seen = cell.outline(state.places[bag], slot.layer).mean(axis=0)
+        assert np.linalg.norm(seen - truly) < 2  # pixels, of 1 mm
+    on_table, higher = (cell.outline(stacked.pattern.slots[0].pose, layer) for layer in (0, 2))
+    assert np.ptp(higher, axis=0).min() > np.ptp(on_table, axis=0).min()  # nearer to the camera
+
+
 def test_a_tower_whose_top_was_laid_beside_does_not_count(cell) -> None:
     lay(cell, 0.0, 0.0, 0.035)
     assert not strict_success(cell.scene.conditions, cell)

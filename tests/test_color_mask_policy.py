@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -67,7 +68,21 @@ def test_plans_from_the_bag_to_the_goal(cell, policy, pose, scene):
     assert plan.action.place.distance(target) < 0.002
     assert abs(wrap_angle(plan.action.place.yaw - yaw, np.pi / 2)) < np.deg2rad(2)
     assert 0.7 < plan.confidence <= 1.0
-    assert plan.views["object"].shape == (SIZE[1], SIZE[0])
+    assert plan.views["pick"].shape == (SIZE[1], SIZE[0])
+
+
+def test_of_two_bags_it_takes_the_one_that_is_pointed_at(cell, policy):
+    bags = PlanarPose(0.42, -0.2), PlanarPose(0.58, 0.15)
+    picture = np.full((SIZE[1], SIZE[0], 3), 140, np.uint8)
+    outlines = [goal_at(cell, bag) for bag in bags]
+    for outline in outlines:
+        cv2.fillPoly(picture, [outline.corners.round().astype(np.int32)], cell.settings.object_color)
+    goal = goal_at(cell, PlanarPose(0.5, 0.0))
+    for bag, outline in zip(bags, outlines, strict=True):
+        plan = policy.plan(Observation(picture), replace(goal, object_at=tuple(outline.center + 3.0)))
+        assert plan.action.pick.distance(bag) < 0.003
+        u, v = outline.center.round().astype(int)
+        assert plan.views["pick"][v, u] == 1.0  # both are seen, whichever is taken
 
 
 def test_smaller_pictures_of_the_same_camera_will_do(cell, policy):

@@ -360,7 +360,8 @@ def test_an_evaluation_begun_by_an_earlier_version_goes_on(tmp_path):
         record = json.loads(log.readline())
         steps = [{name: step[name] for name in kept} for step in record["steps"]]
         flat = {name: record[name] for name in ("episode", "failure", "message", "wall_s")}
-        old.write(json.dumps({**flat, **record["credit"], "steps": steps}) + "\n")
+        credit = {name: record["credit"][name] for name in ("partial_credit", "ravens_success", "success")}
+        old.write(json.dumps({**flat, **credit, "steps": steps}) + "\n")
     (tmp_path / LOG).unlink()
     assert evaluate_here(options(tmp_path, episodes=2), open_right)["success"] == success_rate(2, 2)
     assert timeless(tmp_path) == new[1:]

@@ -187,7 +187,7 @@ def test_layers_are_drawn_in_shades_with_numbers_in_their_slots_and_nothing_else
     def project(points: np.ndarray) -> np.ndarray:
         return np.c_[160 - 400 * points[:, 1], 90 - 400 * points[:, 0]]
 
-    painted = pattern.paint(grey, project, 0.12, 0.12)
+    painted = pattern.paint(grey, lambda pose, _layer: project(pose.outline(0.12, 0.12)))
     assert not (grey != 90).any()
     assert (painted != grey).any(axis=2).sum() > 0
     outlines = np.concatenate(pattern.outlines(0.12, 0.12))

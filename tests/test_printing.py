@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from baggie.errors import BaggieError, DataError
 from baggie.sim.printed import texture
-from baggie.vision.pattern import pattern
 from baggie.vision.printing import draw_goal_card, draw_target, print_goal_card, print_target
-from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, parse_target, pattern
 from helpers.printed_pages import page_picture, page_words
 
 DPI = 150

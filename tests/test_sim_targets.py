@@ -25,8 +25,7 @@ from baggie.sim.printed import SHEET_SIZE_M, SHEET_TEXTURE, T_sheet_target, text
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.scene import arm_spec
 from baggie.sim.sensor import Exposure
-from baggie.vision.pattern import pattern
-from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target, pattern
 from baggie.workcell.simulated import SimulatedWorkcell
 from baggie.workcell.workcell import WorkcellSettings
 from helpers.recording_arm import RecordingArm

@@ -50,6 +50,11 @@ def test_of_a_tower_those_layers_count_that_are_right_from_below(wrong, right: i
     assert not TOWER.holds(state)
 
 
+def test_a_bag_that_is_right_is_so_far_from_its_slot_and_the_others_are_nowhere() -> None:
+    leaning = lying(tower(0.004, 0.015, 0.025))  # the last one does not stand on the one below it
+    assert TOWER.offsets_m(leaning) == (pytest.approx(0.004), pytest.approx(0.019), None)
+
+
 @given(st.permutations(BAGS), st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3))
 def test_any_bag_may_be_in_any_slot_at_any_angle(names, yaws) -> None:
     stood = tower(0.0, 0.005, 0.005).values()

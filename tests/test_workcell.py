@@ -2,6 +2,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import cv2
@@ -11,20 +12,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baggie
+from baggie.calibration.files import CameraIdentity
+from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.cameras import OpenCVSettings, RealSenseSettings
 from baggie.cameras.camera import Camera, CameraSettings, OpenCamera
-from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
+from baggie.commissioning.image_to_robot import grid
+from baggie.errors import BaggieError, CalibrationError, LimitError, ReachError, UnsureError
 from baggie.geometry import PlanarPose, ToolPose
 from baggie.robot.franka import FrankaEntry
 from baggie.robot.lerobot import LeRobotEntry
 from baggie.robot.limits import GuardedArm
 from baggie.robot.primitives import Handling, pick, place
+from baggie.tasks.pattern import LAYER_M
 from baggie.types import PickPlace, Plan
 from baggie.workcell import config
 from baggie.workcell.config import RealWorkcell
-from baggie.workcell.workcell import WorkcellSettings
+from baggie.workcell.workcell import Calibrations, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 from helpers.recording_arm import RecordingArm, TimelessCell
+from helpers.synthetic import image_to_robot, to_pixels
 
 SETTINGS = WorkcellSettings()
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -447,3 +453,20 @@ def test_a_camera_in_few_words(tmp_path: Path) -> None:
 def test_a_missing_workcell_file_says_what_to_give() -> None:
     with pytest.raises(BaggieError, match=r"no workcell file nowhere\.yaml"):
         read_workcell_file(Path("nowhere.yaml"))
+
+
+def test_an_outline_is_as_high_as_its_layer_and_wants_a_map_that_knows_heights() -> None:
+    cell = RealWorkcell.__new__(RealWorkcell)
+    cell.settings = SETTINGS
+    cell.camera = cast("Camera", SimpleNamespace(size=(1280, 720)))
+    cell.calibrations = Calibrations(image_to_robot=image_to_robot())
+    pose, (length, width, height) = PlanarPose(0.5, 0.1, 0.3), SETTINGS.object_size_m
+    for layer, middle_m in ((0, height / 2), (1, 1.5 * LAYER_M), (4, 4.5 * LAYER_M)):
+        truly = to_pixels(np.c_[pose.outline(length, width), np.full(4, middle_m)])
+        np.testing.assert_allclose(cell.outline(pose, layer), truly, atol=0.05)
+    robot = grid(SETTINGS.workspace, 0.02, (height / 2,))
+    flat = ImageToRobot.fit(to_pixels(robot), robot, CameraIdentity("drawn", 1280, 720), height_m=height / 2)
+    cell.calibrations = Calibrations(image_to_robot=flat)
+    assert cell.outline(pose).shape == (4, 2)
+    with pytest.raises(CalibrationError, match=r"fitted at one height only, 0\.015 m, not at 0\.033 m"):
+        cell.outline(pose, 1)

@@ -149,6 +149,7 @@ BAGGIE = Group(
             (
                 "baggie evaluate --policy runs/keypoint --task bag-place --episodes 100 --out runs/keypoint/evaluation",
                 "baggie evaluate --policy runs/pyramid --task block-pyramid --out runs/pyramid/evaluation",
+                "baggie evaluate --policy oracle --task bag-tower --pattern tower:5 --out runs/oracle-tower-5",
             ),
             f"{_EVALUATING}:EvaluateOptions",
             "baggie.evaluation.closed_loop:evaluate",

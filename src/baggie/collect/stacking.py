@@ -20,8 +20,8 @@ from baggie.errors import BaggieError
 from baggie.geometry import PlanarPose, wrap_angle
 from baggie.robot.limits import MARGIN_M
 from baggie.seeds import first_fit
-from baggie.tasks.pattern import LAYER_M, Pattern
-from baggie.types import Failure, Observation, PickPlace
+from baggie.tasks.pattern import Pattern
+from baggie.types import LAYER_M, Failure, Observation, PickPlace
 from baggie.vision.color_mask import Detection, find_bag
 from baggie.workcell.workcell import WorkcellSettings
 

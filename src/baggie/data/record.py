@@ -151,8 +151,20 @@ _PICTURES = pa.schema(
     ]
 )
 _LATER: Mapping[str, int | None] = {"step": 0} | dict.fromkeys(
-    ("episode", "reward", "before_grid", "after_grid", "before_height", "after_height", "object_symmetry")
-    + ("commanded_heights", "executed_heights", "pick_layer", "place_layer", "under")
+    [
+        "episode",
+        "reward",
+        "before_grid",
+        "after_grid",
+        "before_height",
+        "after_height",
+        "object_symmetry",
+        "commanded_heights",
+        "executed_heights",
+        "pick_layer",
+        "place_layer",
+        "under",
+    ]
 )
 """The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])

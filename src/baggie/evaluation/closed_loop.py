@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,8 @@ def _same_evaluation(options: EvaluateOptions, terms: Terms) -> None:
         **terms.to_json(),
     }
     found = json.loads(path.read_text()) if path.exists() else {}
-    for key, value in asked.items():
+    no_longer = {entry.name: None for entry in fields(Terms) if entry.name in found.keys() - asked.keys()}
+    for key, value in (asked | no_longer).items():
         told = found.get(key, UNKNOWN if key in _LATER or not found else None)
         if told not in (UNKNOWN, value):
             raise BaggieError(
@@ -161,8 +163,8 @@ def measure(episodes: Sequence[Episode], radius_cm: float) -> dict[str, Any]:
     """`success`, strictly or within `radius_cm`; steps and times; failures by cause; and what the task gives besides.
 
     Of objects with a goal in the picture: `success_within` 1, 2, 3 cm, where they ended, and how good plans were. Of
-    tasks that say themselves where things go: `ravens_success` and `partial_credit`. `asked_for_help` is the share of
-    episodes in which the plan was less sure than the workcell asks for.
+    tasks that say themselves where things go: `ravens_success` and `partial_credit`, and of stacked bags `layers`.
+    `asked_for_help` is the share of episodes in which the plan was less sure than the workcell asks for.
     """
     count, steps = len(episodes), [step for episode in episodes for step in episode.steps]
     failed = [episode for episode in episodes if not episode.succeeded(radius_cm)]
@@ -196,10 +198,23 @@ def _of_landings(landings: Sequence[Landing], radius_cm: float) -> dict[str, Any
 
 
 def _of_credits(credits: Sequence[Credit]) -> dict[str, Any]:
+    layered = [credit for credit in credits if credit.layers]
     return {
         "ravens_success": success_rate(sum(credit.ravens_success for credit in credits), len(credits)),
         "partial_credit": summary([credit.partial_credit for credit in credits]),
+        **({"layers": _of_layers(layered)} if layered else {}),
     }
+
+
+def _of_layers(credits: Sequence[Credit]) -> dict[str, Any]:
+    """Of each layer of a pattern, from 1 below: how often it is right at the end, and how far off its bags are then."""
+    of_all = zip(*(zip(credit.layers, credit.offsets_cm, strict=True) for credit in credits), strict=True)
+    layers: dict[str, Any] = {}
+    for number, of_one in enumerate(of_all, start=1):
+        offsets = [off for _, layer in of_one for off in layer if off is not None]
+        right = success_rate(sum(right for right, _ in of_one), len(of_one))
+        layers[str(number)] = {"success": right, **({"offset_cm": summary(offsets)} if offsets else {})}
+    return layers
 
 
 def _of_plans(episodes: Sequence[Episode]) -> dict[str, Any]:

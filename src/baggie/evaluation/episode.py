@@ -20,10 +20,11 @@ from baggie import seeds
 from baggie.calibration.image_to_robot.rectify import raise_card
 from baggie.collect.machine import random_place
 from baggie.errors import BaggieError, LimitError, ReachError, UnsureError
+from baggie.evaluation.builder import Builder
 from baggie.evaluation.log import Credit, Episode, Landing, Step
 from baggie.evaluation.marked_pictures import EpisodeScene, save_map, save_mp4, save_pictures, save_step
-from baggie.evaluation.setup import Setup
-from baggie.geometry import FloatArray, PlanarPose
+from baggie.evaluation.setup import Setup, task_of
+from baggie.geometry import PlanarPose
 from baggie.metrics import position_error_cm, yaw_error_deg
 from baggie.options.evaluating import EvaluateOptions
 from baggie.options.values import GoalKind
@@ -31,7 +32,8 @@ from baggie.policies.memory import Planner, remembering
 from baggie.registry import TASKS
 from baggie.seeds import EVALUATION, first_fit
 from baggie.tasks.conditions import Score, strict_success
-from baggie.types import Goal, Observation, Outcome, PickPlace, Plan
+from baggie.tasks.stacked import Stacked
+from baggie.types import Goal, Observation, Outcome, Plan
 from baggie.vision.draw import check_goal
 from baggie.vision.goal_card import find_card
 from baggie.workcell.workcell import Workcell
@@ -98,6 +100,8 @@ class Judge(Protocol):
     film_fps: int
     """Frames of a video in a second of the scene."""
     most_steps: int
+    planner: Planner
+    """What is asked for plans."""
 
     @property
     def over(self) -> bool:
@@ -107,7 +111,7 @@ class Judge(Protocol):
     def look(self, seen: Observation) -> Goal | None:
         """Take note of the picture that is planned from; the goal in it, where one is given.
 
-        Raises `BaggieError` where it cannot be given.
+        Raises `NoGoalError` where it cannot be given, or nothing is left to be one.
         """
         ...
 
@@ -137,6 +141,7 @@ class ByDistance:
     def __init__(self, setup: Setup, options: EvaluateOptions, stream: Sequence[int], stem: Path) -> None:
         """Draw the goal, and lay a card there where it is given by one."""
         self._setup, self._kind, self._stream, self._stem = setup, options.goal, stream, stem
+        self.planner: Planner = remembering(setup.policy)
         self.most_steps = 1 + options.retries
         self.over = False
         self._start = setup.object_at_start()
@@ -149,12 +154,12 @@ class ByDistance:
         self._last: Trial | None = None
 
     def look(self, seen: Observation) -> Goal | None:
-        """The goal, as told in the first picture. Raises `NoCardError` where there is no card to be seen in it."""
+        """The goal, as told in the first picture. Raises `NoGoalError` where there is no card to be seen in it."""
         self._seen, self._object = seen, self._setup.object_in(seen)
         if self._told is None:
             try:
                 goal = goal_in(self._setup, self._kind, self._goal, seen, self._stream)
-            except NoCardError as error:
+            except NoGoalError as error:
                 self._failure, self._message = "no-card", str(error)
                 raise
             check_goal(goal, seen.size)
@@ -197,7 +202,8 @@ class ByDistance:
 class ByConditions:
     """Judges how much of a task that itself says where things go is done, as Ravens counts it and strictly.
 
-    A plan that the arm refuses takes a step, as a missed grasp does.
+    A plan that the arm refuses takes a step, as a missed grasp does. A policy that wants goals is given those of the
+    bags that are to be stacked, one after the other, as a builder says them from what it sees.
     """
 
     film_fps = 5  # so that videos are four times as fast as it was
@@ -207,7 +213,12 @@ class ByConditions:
         assert self._cell.scene is not None, "only a simulated cell says what counts"
         self._conditions = self._cell.scene.conditions
         self._score = Score(self._conditions)
-        self.most_steps = TASKS[options.task].max_steps
+        self.most_steps = task_of(options).max_steps
+        self._stacked = next((each for each in self._conditions if isinstance(each, Stacked)), None)
+        self._builder: Builder | None = None
+        self.planner: Planner = remembering(setup.policy)
+        if self._stacked is not None and getattr(setup.policy, "wants_goal", False):
+            self.planner = self._builder = Builder(self._cell, setup.policy, self._stacked.pattern)
         self._steps = 0
         self._gave_up = self._strict = False
         self._last: Trial | None = None
@@ -218,18 +229,24 @@ class ByConditions:
         return self._score.done or self._gave_up
 
     def look(self, seen: Observation) -> Goal | None:
-        """There is no goal in the picture."""
+        """The next goal of a builder. Raises `NoGoalError` where all is built, as far as it sees."""
         if not self._steps:
-            save_map(self._picture("before"), seen)
+            save_map(self._picture("before"), self._marked(seen))
         self._seen = seen
-        return None
+        if self._builder is None:
+            return None
+        goal = self._builder.look(seen)
+        if goal is None:
+            raise NoGoalError("all of the pattern is built, as far as the pictures tell")
+        return goal
 
     def judge(self, trial: Trial) -> Step:
         """What it earned."""
         if trial.plan:
-            ends = _pixels(self._cell, self._seen, trial.plan.action)
-            save_step(self._picture(f"step-{self._steps:02d}"), self._seen, trial.plan, ends)
+            save_step(self._picture(f"step-{self._steps:02d}"), self._cell, self._seen, trial.plan)
         self._last, self._steps, self._gave_up = trial, self._steps + 1, trial.gave_up
+        if self._builder is not None:
+            self._builder.note(trial.outcome)
         state = self._cell.state()
         assert state is not None
         return trial.logged(reward=self._score.count(state))
@@ -241,12 +258,28 @@ class ByConditions:
     def ending(self, after: Observation) -> dict[str, Any]:
         """How much was done."""
         save_map(self._picture("after"), after)
-        credit = Credit(self._score.total, self._score.done, self._strict)
+        layers, offsets = self._slots()
+        credit = Credit(self._score.total, self._score.done, self._strict, layers, offsets)
         if self._strict:
             return {"credit": credit, "failure": "", "message": ""}
         failed, message = (self._last.failure, self._last.message) if self._last else ("", "")
         failure = failed or ("ravens-only" if self._score.done else "unfinished")
         return {"credit": credit, "failure": failure, "message": message}
+
+    def _slots(self) -> tuple[tuple[bool, ...], tuple[tuple[float | None, ...], ...]]:
+        """Of a pattern, which layers are right, and how far from each slot its bag is, layer by layer; else nothing."""
+        state = self._cell.state()
+        if self._stacked is None or state is None:
+            return (), ()
+        off = [None if m is None else 100 * m for m in self._stacked.offsets_m(state)]
+        layers = tuple(tuple(off[slot] for slot in layer) for layer in self._stacked.pattern.layers)
+        return tuple(None not in layer for layer in layers), layers
+
+    def _marked(self, seen: Observation) -> Observation:
+        """What was seen, with the pattern drawn in it."""
+        if self._stacked is None:
+            return seen
+        return replace(seen, color=self._stacked.pattern.paint(seen.color, self._cell.outline))
 
     def _picture(self, what: str) -> Path:
         return self._stem.with_name(f"{self._stem.name}-{what}.jpg")
@@ -267,27 +300,19 @@ def run_episode(setup: Setup, number: int, options: EvaluateOptions) -> Episode:
     else:
         judge = ByConditions(setup, options, stem)
     steps: list[Step] = []
-    policy = remembering(setup.policy)
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(cell.film(fps=judge.film_fps)) if number < options.film else []
-        with contextlib.suppress(NoCardError):
+        with contextlib.suppress(NoGoalError):
             while not judge.over and len(steps) < judge.most_steps:
                 seen = cell.look()
                 goal = judge.look(seen)
-                steps.append(judge.judge(try_plan(policy, cell, seen, goal)))
+                steps.append(judge.judge(try_plan(judge.planner, cell, seen, goal)))
         judge.end()
         after = cell.look()
     ending = judge.ending(after)
     if frames:
         save_mp4(stem.with_name(f"{stem.name}.mp4"), frames, PLAY_FPS)
     return Episode(episode=number, steps=tuple(steps), wall_s=time.perf_counter() - began, **ending)
-
-
-def _pixels(cell: Workcell, seen: Observation, action: PickPlace) -> FloatArray:
-    """`(2, 2)`: where pick and place appear in a picture."""
-    if seen.grid is not None:
-        return seen.grid.to_pixels([action.pick.xy, action.place.xy])
-    return np.array([cell.outline(pose).mean(axis=0) for pose in (action.pick, action.place)])
 
 
 CLEARANCE_M = 0.16
@@ -300,8 +325,8 @@ _CLICKS = 0xC11C
 _TRIES = 100
 
 
-class NoCardError(BaggieError):
-    """The goal card is not to be seen."""
+class NoGoalError(BaggieError):
+    """There is no goal to plan for: its card is not to be seen, or all is done as far as that can be seen."""
 
 
 def draw_goal(cell: Workcell, bag: PlanarPose, kind: GoalKind, stream: Sequence[int]) -> PlanarPose:
@@ -341,7 +366,7 @@ def goal_in(setup: Setup, kind: GoalKind, pose: PlanarPose, seen: Observation, s
     """The goal as the policy is told it in the picture `seen`, with a click on the bag where there are two.
 
     A card's corners are those found in the picture, raised to the bag's height where the setup has a map for that.
-    Raises `NoCardError` where it is not found.
+    Raises `NoGoalError` where it is not found.
     """
     cell = setup.cell
     object_at = _click(cell, setup.object_in(seen), stream) if cell.scene and cell.scene.staying else None
@@ -349,7 +374,7 @@ def goal_in(setup: Setup, kind: GoalKind, pose: PlanarPose, seen: Observation, s
         return Goal(cell.outline(pose), object_at=object_at)
     card = find_card(seen.color)
     if card is None:
-        raise NoCardError(
+        raise NoGoalError(
             "expected the goal card in the picture, found none; lay it where the camera sees all of it"
         )
     corners = card.corners

@@ -27,7 +27,12 @@ class Record:
     def from_json(cls, record: Mapping[str, Any]) -> Self:
         """The inverse of `asdict`, from JSON. Raises `DataError` for a record of another version of baggie."""
         _check_keys({entry.name for entry in fields(cls)}, record)
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in record.items()})
+        return cls(**{name: _tuples(value) for name, value in record.items()})
+
+
+def _tuples(value: Any) -> Any:
+    """A value of JSON with tuples for its lists, and for the lists in those."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _check_keys(known: set[str], record: Mapping[str, Any]) -> None:
@@ -92,6 +97,10 @@ class Credit(Record):
     """Whether Ravens counts the whole task as done."""
     success: bool
     """Whether all conditions hold strictly, and still do two seconds later."""
+    layers: tuple[bool, ...] = ()
+    """Of a pattern of bags, whether each layer is right at the end, from below."""
+    offsets_cm: tuple[tuple[float | None, ...], ...] = ()
+    """Layer by layer, how far from its slot the bag in it ends; None where none fills it."""
 
 
 @dataclass(frozen=True)
@@ -133,13 +142,15 @@ class Episode:
                 **record,
                 "steps": tuple(Step.from_json(step) for step in record["steps"]),
                 "landing": None if landing is None else Landing.from_json(landing),
-                "credit": None if credit is None else Credit.from_json(credit),
+                "credit": None if credit is None else Credit.from_json(_NO_LAYERS | credit),
             }
         )
 
 
 _LANDING = {entry.name for entry in fields(Landing)}
-_CREDIT = {entry.name for entry in fields(Credit)}
+_CREDIT = {"partial_credit", "ravens_success", "success"}
+_NO_LAYERS: Mapping[str, Any] = {"layers": [], "offsets_cm": []}
+"""What earlier versions did not log of a credit."""
 _ENDED = {"episode", "failure", "message", "wall_s"}
 _PLAN = {
     *("planned", "executed", "confidence", "pick_error_cm", "place_error_cm", "pick_yaw_error_deg"),

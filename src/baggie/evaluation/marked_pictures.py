@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from baggie.files import write_bytes, written_whole
 from baggie.geometry import FloatArray, PlanarPose
-from baggie.types import Goal, Image, Observation, Plan
+from baggie.types import LAYER_M, Goal, Image, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
 from baggie.workcell.workcell import Workcell
 
@@ -214,17 +214,25 @@ def save_map(path: Path, seen: Observation) -> None:
     save_jpeg(path, _whole(seen).cut(seen.color))
 
 
-def save_step(path: Path, seen: Observation, plan: Plan, ends: FloatArray) -> None:
+def save_step(path: Path, cell: Workcell, seen: Observation, plan: Plan) -> None:
     """The plan as an arrow from pick to place over the colours, and beside it its heat maps over the heights.
 
-    `ends`: pixels `(2, 2)` of pick and place. A plan without heat maps is shown alone.
+    A plan without heat maps is shown alone.
     """
     whole = _whole(seen)
-    start, end = ends
+    start, end = _ends(cell, seen, plan.action)
     shown = [arrow(whole.cut(seen.color), whole.to_shown(start), whole.to_shown(end))]
     if plan.views:
         shown.append(heat_over(backdrop(seen), whole, plan.views))
     save_jpeg(path, np.hstack(shown))
+
+
+def _ends(cell: Workcell, seen: Observation, action: PickPlace) -> FloatArray:
+    """`(2, 2)`: where pick and place appear in a picture."""
+    if seen.grid is not None:
+        return seen.grid.to_pixels([action.pick.xy, action.place.xy])
+    ends = ((action.pick, action.pick_on_m), (action.place, action.place_on_m))
+    return np.array([cell.outline(pose, round((on_m or 0.0) / LAYER_M)).mean(axis=0) for pose, on_m in ends])
 
 
 def _whole(seen: Observation) -> Region:

@@ -25,11 +25,17 @@ from baggie.policies.checkpoint import check_picture_shape
 from baggie.policies.exported import ExportedPolicy
 from baggie.registry import TASKS
 from baggie.sim.cell import PICTURE_SIZE
+from baggie.tasks.bag_stacks import stacking
+from baggie.tasks.pattern import Pattern
+from baggie.tasks.task import Task
 from baggie.types import Goal, Observation, Plan
 from baggie.workcell.workcell import Watch, Workcell, at_outline
 
-_BY_CAMERA, _FROM_ABOVE = ("keypoint", "regression", ColorMaskPolicy.name), "transporter"
-"""Policies that look at a camera's pictures, and the one that looks at height maps, unless it has a camera."""
+_TRAINED_BY_CAMERA, _FROM_ABOVE = ("keypoint", "regression"), "transporter"
+"""Policies that learn from a camera's pictures, and the one that looks at height maps, unless it has a camera."""
+_BY_CAMERA = (*_TRAINED_BY_CAMERA, ColorMaskPolicy.name)
+STACKING_TASK = "bag-stack"
+"""What teaches a policy that wants a goal to stack bags, in any pattern."""
 NAMED = (ColorMaskPolicy.name, OraclePolicy.name)
 """Policies that are not loaded from anywhere."""
 UNKNOWN = ""
@@ -71,12 +77,19 @@ def check_taught(policy: str, task: str) -> None:
     config = config_of(policy)
     if not config:
         return
+    stacks, by_goal = TASKS[task].pattern is not None, config["policy"] in _TRAINED_BY_CAMERA
     instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
     words = {name: known.instruction for name, known in TASKS.all().items()}
-    taught = next((name for name in words if words[name] == instruction), task)
-    if taught != task:
+    taught = next((name for name in words if words[name] == instruction), None)
+    needed = STACKING_TASK if stacks and by_goal else task
+    if taught is None and needed != task:
         raise BaggieError(
-            f"expected a policy that was taught {task}, got {policy}, which was taught {taught}; "
+            f"expected a policy that was taught {needed}, got {policy}, which does not say so; collect {needed}, and "
+            "train on it"
+        )
+    if taught not in (None, needed):
+        raise BaggieError(
+            f"expected a policy that was taught {needed}, got {policy}, which was taught {taught}; "
             f"give --task {taught}, or another policy"
         )
     if config["policy"] not in (*_BY_CAMERA, _FROM_ABOVE):  # another package's knows itself what it looks at
@@ -88,11 +101,20 @@ def check_taught(policy: str, task: str) -> None:
             f"expected a policy that looks at {needed} with --task {task}, got {policy}, which looks at {looks}; "
             "give the --task that it was taught"
         )
-    if not (from_above or TASKS[task].has_goal):
+    if not (from_above or TASKS[task].has_goal or (stacks and by_goal)):
         raise BaggieError(
             f"expected a policy that knows by itself where things go in {task}, got {policy}, which wants a goal in "
             "the picture; give a --task with one, such as bag-place"
         )
+
+
+def task_of(options: EvaluateOptions) -> Task:
+    """The task that the options say; of stacked bags, in the pattern and the colours that they say."""
+    task = TASKS[options.task]
+    if options.pattern is None and not options.one_color:
+        return task
+    pattern = None if options.pattern is None else Pattern.given(options.pattern)
+    return stacking(task, pattern, options.one_color)
 
 
 def policy_name(policy: str) -> str:
@@ -191,6 +213,7 @@ class ColorOfTheBag(Policy):
     """The colour mask, told the colour of the bag in each scene: what a person writes into the workcell's file."""
 
     name = ColorMaskPolicy.name
+    wants_goal = True
 
     def __init__(self, policy: ColorMaskPolicy, cell: Workcell) -> None:
         self.policy, self.cell = policy, cell
@@ -233,13 +256,11 @@ def _open_real(options: EvaluateOptions, path: Path) -> Setup:
 
 
 def _open_simulated(options: EvaluateOptions) -> Setup:
-    from baggie.workcell.simulated import open_simulated  # noqa: PLC0415 -- MuJoCo takes its time
+    from baggie.workcell.simulated import SimulatedWorkcell  # noqa: PLC0415 -- MuJoCo takes its time
 
-    task = TASKS[options.task]
+    task = task_of(options)
     size = camera_size(options) if task.view == "camera" else PICTURE_SIZE
-    cell = open_simulated(
-        options.cell, options.task, scenery=options.scenery, picture_size=size, depth=task.depth
-    )
+    cell = SimulatedWorkcell(options.cell, task, scenery=options.scenery, picture_size=size, depth=task.depth)
     reference = _reference(options) if task.has_goal else None
     cell.watch = Watch(read_picture(reference)) if reference else None
     map_file = card_map(options)

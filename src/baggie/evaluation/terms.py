@@ -16,6 +16,7 @@ from baggie.options.values import USUAL_TASK, GoalKind, Scenery
 from baggie.policies import ColorMaskPolicy
 from baggie.policies.baselines import CONFIG_FILE
 from baggie.registry import TASKS
+from baggie.tasks.pattern import PATTERN_FILES, Pattern
 from baggie.workcell.workcell_file import read_workcell_file
 
 _GOALS = {"turned": "turned goals", "card": "card"}
@@ -30,6 +31,10 @@ class Terms:
     """The number of the simulated one."""
     workcell: str | None = None
     """The file of the real one, whose camera is all that knows where things are; None where it was simulated."""
+    pattern: str | None = None
+    """Of stacked bags, where that is not the task's own: in words, or all slots as YAML."""
+    one_color: bool | None = None
+    """Whether all of them are of one colour; None where each has its own."""
     scenery: Scenery | None = None
     workcell_says: str | None = None
     """A fingerprint of what the file says."""
@@ -46,7 +51,14 @@ class Terms:
         real = options.workcell is not None
         where: dict[str, Any] = {"workcell": str(options.workcell)} if real else {"cell": options.cell}
         if not TASKS[options.task].has_goal:
-            return cls(task=options.task, **where)
+            by_color = options.policy == ColorMaskPolicy.name
+            return cls(
+                task=options.task,
+                **where,
+                pattern=_pattern(options),
+                one_color=options.one_color or None,
+                calibration=fingerprint_of(*_maps(options)) or "none given" if by_color else None,
+            )
         if options.workcell is not None:
             where["workcell_says"] = _says(options.workcell)
         else:
@@ -76,9 +88,26 @@ class Terms:
 
     @property
     def harder(self) -> str:
-        """In what scenes and goals are harder than those of the plain closed loop, in words; empty for nothing."""
+        """What differs from the plain closed loop in scenes, goals and patterns, in words; empty for nothing."""
         scenery = self.scenery if self.scenery not in (None, "plain") else ""
-        return ", ".join(filter(None, [scenery, _GOALS.get(self.goal or "", "")]))
+        one_color = "one colour" if self.one_color else ""
+        return ", ".join(
+            filter(None, [self._pattern_in_words, one_color, scenery, _GOALS.get(self.goal or "", "")])
+        )
+
+    @property
+    def _pattern_in_words(self) -> str:
+        if self.pattern is None or not self.pattern.startswith("slots:"):
+            return self.pattern or ""
+        return f"a pattern of {len(Pattern.parse(self.pattern).slots)} bags"
+
+
+def _pattern(options: EvaluateOptions) -> str | None:
+    """The pattern that is asked for: in words, or what its file says. Raises `BaggieError` for what is none."""
+    if options.pattern is None:
+        return None
+    pattern = Pattern.given(options.pattern)
+    return pattern.to_yaml() if Path(options.pattern).suffix in PATTERN_FILES else options.pattern
 
 
 def _says(workcell: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -26,8 +27,10 @@ from baggie.options.values import (
 )
 from baggie.registry import TASKS
 
-_WITH_GOAL = ("workcell", "scenery", "goal", "radius_cm", "retries", "calibration")
+_WITH_GOAL = ("workcell", "scenery", "goal", "radius_cm", "retries")
 """What means something only for tasks whose goal is given in the picture: others say themselves what counts."""
+_STACKING = ("pattern", "one_color")
+"""What means something only for tasks that stack bags."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,19 @@ class EvaluateOptions(Options):
     """
 
     policy: str
-    """A training run's folder, a Hub id, `color-mask` (where a goal is given in the picture), or `oracle`, which reads
-    the simulator's truth.
+    """A training run's folder, a Hub id, `color-mask` (where a goal is given in the picture, or bags are stacked), or
+    `oracle`, which reads the simulator's truth.
     """
     out: Path
     """Where metrics.json, the log of episodes, pictures and videos go."""
     task: TaskName = USUAL_TASK
     """What is on the table and what counts as done."""
+    pattern: str | None = None
+    """Where bags are stacked: another pattern than the task's own, in words, such as tower:5, pyramid:3-2-1 or
+    "layers:2x2,2x2 turned", or a YAML file with its slots.
+    """
+    one_color: bool = False
+    """Where bags are stacked: all of them are of one colour; else each is of one of its own."""
     episodes: Count = 100
     """How many scenes."""
     seed: Seed = 0
@@ -92,8 +101,8 @@ class EvaluateOptions(Options):
     film: Number = 2
     """How many of the first episodes to make a video of."""
     calibration: Path | None = None
-    """Where a goal is given in the picture: a recording of this cell, for its map: `color-mask` plans with it,
-    `--goal card` allows for an object's height.
+    """A recording of this cell, for its map: `color-mask` plans with it, and `--goal card` allows for an object's
+    height.
     """
 
     def check(self) -> None:
@@ -105,8 +114,11 @@ class EvaluateOptions(Options):
         ):
             if chosen not in known:
                 raise UsageError(f"expected a {name} among {', '.join(known)}, got {chosen!r}")
+        stacks = TASKS[self.task].pattern is not None
+        if not stacks:
+            self._refuse(_STACKING, instead="bag-tower")
         if not TASKS[self.task].has_goal:
-            self._check_without_goal()
+            self._check_without_goal(stacks)
         elif self.workcell is not None:
             self._check_real()
 
@@ -129,17 +141,27 @@ class EvaluateOptions(Options):
         if self.processes != 1:
             raise UsageError(f"expected --workers 1 {given}which has one arm, got {self.workers}")
 
-    def _check_without_goal(self) -> None:
-        for name in _WITH_GOAL:
+    def _refuse(self, names: Sequence[str], instead: str) -> None:
+        """Raise `UsageError` for an option that means nothing with this task, and something with the one `instead`."""
+        for name in names:
             if (given := getattr(self, name)) != getattr(EvaluateOptions, name):
                 raise UsageError(
                     f"expected no --{name.replace('_', '-')} with --task {self.task}, got {given}; leave it out, or "
-                    f"take --task {USUAL_TASK}"
+                    f"take --task {instead}"
                 )
-        if self.policy == COLOR_MASK:
+
+    def _check_without_goal(self, stacks: bool) -> None:
+        by_color = stacks and self.policy == COLOR_MASK
+        self._refuse(_WITH_GOAL if by_color else (*_WITH_GOAL, "calibration"), instead=USUAL_TASK)
+        if self.policy == COLOR_MASK and not stacks:
             raise UsageError(
                 f"expected a policy that knows the task with --task {self.task}, got {self.policy}, which takes a bag "
                 "to a goal in the picture; give the folder of a run that was taught it, or oracle"
+            )
+        if by_color and not self.one_color:
+            raise UsageError(
+                f"expected --one-color with --task {self.task} and {self.policy}, which knows one colour; say it, or "
+                "give the folder of a run that was taught to stack"
             )
 
 

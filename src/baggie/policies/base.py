@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -35,6 +35,8 @@ class Policy(ABC):
     """
 
     name: str
+    wants_goal: ClassVar[bool] = False
+    """Whether it takes an object to a goal in the picture; else it knows by itself where things go."""
 
     @abstractmethod
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:

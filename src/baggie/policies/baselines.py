@@ -27,15 +27,19 @@ from baggie.types import (
     require_goal,
     require_observation,
 )
-from baggie.vision.color_mask import find_bag
+from baggie.vision.color_mask import find_bags
 
 CONFIG_FILE = "config.yaml"
 
 
 class ColorMaskPolicy(Policy):
-    """Picks the object where its colour is, places it where the goal's outline is; right in one cell."""
+    """Picks an object where its colour is, places it where the goal's outline is; right in one cell.
+
+    Of several the largest to be seen, unless the goal says which.
+    """
 
     name = COLOR_MASK
+    wants_goal = True
 
     def __init__(self, image_to_robot: ImageToRobot, object_color: tuple[int, int, int]) -> None:
         """Use a map fitted in the cell the pictures come from, and the object's RGB colour."""
@@ -58,19 +62,22 @@ class ColorMaskPolicy(Policy):
                 f"({u:.0f}, {v:.0f}); mark a place that is in view"
             )
         to_robot = self.image_to_robot.for_size(observation.size)
-        found = find_bag(observation.color, self.object_color)
-        if found is None:
+        bags = [bag for bag in find_bags(observation.color, self.object_color) if bag is not None]
+        if not bags:
             raise BaggieError(
                 f"expected an object of colour RGB {self.object_color} in the picture, found none; "
                 "bring it into view or choose another colour"
             )
+        at = goal.object_at
+        found = bags[0] if at is None else min(bags, key=lambda bag: float(np.hypot(*(bag.center - at))))
         pick = _pose(_in_layer(to_robot, goal.object_layer), found.center, found.yaw)
+        masks = np.any([bag.mask for bag in bags], axis=0).astype(np.float32)
         there = _in_layer(to_robot, goal.layer)
-        # Not in the picture: the middle of what a tilted camera sees is not what it sees of the middle.
+        # On the table: the middle of what a tilted camera sees is not what it sees of the middle.
         x, y = there.to_robot(goal.corners).mean(axis=0)
         place = PlanarPose(float(x), float(y), there.yaw_to_robot(goal.center, _goal_yaw(goal)))
         action = PickPlace(pick, place, goal.object_layer * LAYER_M, goal.layer * LAYER_M)
-        return Plan(action, found.confidence, views={"object": found.mask.astype(np.float32)})
+        return Plan(action, found.confidence, views={"pick": masks})
 
     def save(self, folder: Path) -> None:
         """Write `image-to-robot.yaml`, then `config.yaml`: where that is, all is."""

@@ -67,6 +67,8 @@ class Graph:
 class ExportedPolicy(Policy):
     """Base of exported policies: it belongs to one cell, and to pictures of one shape."""
 
+    wants_goal = True
+
     def __init__(self, graph: Graph, config: Mapping[str, Any]) -> None:
         """`config`: the content of `config.yaml`. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
         self.graph = graph

@@ -185,6 +185,7 @@ class RegressionPolicy(LearnedPolicy):
     """Picks and places at yaw 0: the published network predicts none."""
 
     name = "regression"
+    wants_goal = True
     network: RegressionNet
 
     def __init__(

@@ -13,6 +13,7 @@ from baggie.report.items import (
     data_uri,
     data_uris,
     figure,
+    in_numbers,
     in_words,
     percent,
 )
@@ -50,6 +51,7 @@ def task_section(evaluations: Sequence[Evaluation], main: str, colors: figures.C
                 "How much of the task Ravens counts as done at the end of an episode.",
             ),
         ],
+        "layers": _layers(evaluations),
         "failures": _counts(evaluations, "failures"),
         "failed_steps": _counts(evaluations, "failed_steps"),
         "episodes": [_episode(first, episode) for episode in worst[:MAX_EPISODES]],
@@ -68,6 +70,23 @@ def _credits(evaluation: Evaluation) -> list[float]:
 def _counts(evaluations: Sequence[Evaluation], key: str) -> list[Content]:
     causes = dict.fromkeys(cause for e in evaluations for cause in e.metrics[key])
     return [{"cause": c, "counts": [e.metrics[key].get(c, 0) for e in evaluations]} for c in causes]
+
+
+def _layers(evaluations: Sequence[Evaluation]) -> list[Content]:
+    """How often each layer of stacked bags was right at the end, and how far its bags were off their slots."""
+    of_all = [evaluation.metrics.get("layers", {}) for evaluation in evaluations]
+    layers = dict.fromkeys(layer for layers in of_all for layer in layers)
+    return [
+        {"cause": layer, "counts": [_layer(of_one.get(layer)) for of_one in of_all]}
+        for layer in sorted(layers, key=int)
+    ]
+
+
+def _layer(metrics: Content | None) -> str:
+    if metrics is None:
+        return ""
+    off = metrics.get("offset_cm")
+    return in_numbers(metrics["success"]) + (f", {off['median']:.1f} cm" if off else "")
 
 
 def _episode(evaluation: Evaluation, episode: Episode) -> Content:

@@ -8,8 +8,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, rigid
 from baggie.types import Image
-from baggie.vision.pattern import pattern
-from baggie.vision.targets import Target
+from baggie.vision.targets import Target, pattern
 
 SHEET, PLATE = "sheet", "plate"
 # Of geoms, their meshes, materials and textures alike. Sizes are (width, height), metres: A3, and what a hand can hold.

@@ -140,16 +140,17 @@ def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene
     return Scene(bags, poses, (stacked,))
 
 
-def _task(pattern: Pattern, *, name: str, instruction: str) -> Task:
+def _task(pattern: Pattern, *, name: str, instruction: str, one_color: bool = False) -> Task:
     return Task(
         name=name,
         instruction=instruction,
         tool="hand",
         view="camera",
-        things=colored_bags(len(pattern.slots)),
+        things=colored_bags(len(pattern.slots), one_color),
         draw_scene=partial(_draw, pattern),
         max_steps=len(pattern.slots) + SPARE_STEPS,
         object_symmetry=_SYMMETRY,
+        pattern=pattern,
         workspace=WORKSPACE,
     )
 
@@ -173,6 +174,14 @@ BAG_STACK = Task(
     workspace=WORKSPACE,
 )
 """What the robot teaches itself: it builds towers and pyramids of six bags, and takes them apart."""
+
+
+def stacking(task: Task, pattern: Pattern | None = None, one_color: bool = False) -> Task:
+    """A task that stacks bags, with another pattern to stack as many bags in as it has slots, or bags of one colour."""
+    own = task.pattern if pattern is None else pattern
+    assert own is not None, f"{task.name} stacks no bags"
+    return _task(own, name=task.name, instruction=task.instruction, one_color=one_color)
+
 
 # By keyword, as the commands' help reads names and instructions from this text.
 BAG_TOWER = _task(

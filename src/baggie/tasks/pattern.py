@@ -39,10 +39,12 @@ _STRAIGHT_M = 0.01
 _ROUNDING_M = 1e-9
 """A pattern stays one when it is moved."""
 _WORDS = "tower:3, pyramid:3-2-1, layers:2x2,2x2 turned or `slots:` with a list"
+PATTERN_FILES = (".yaml", ".yml")
+"""How the names of files with patterns end."""
 _GRID = re.compile(r"([1-9])x([1-9])( turned)?")
 
-Project = Callable[[FloatArray], FloatArray]
-"""Where points of the robot's base frame appear: `(N, 3)` metres -> `(N, 2)` pixels (u, v)."""
+Outline = Callable[[PlanarPose, int], FloatArray]
+"""Where a bag at a pose appears, in a layer: `(4, 2)` pixels (u, v), as `Workcell.outline` says them."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,19 @@ class Pattern:
                 "than the one below it"
             )
         return cls(tuple(slots))
+
+    @classmethod
+    def given(cls, words: str) -> Pattern:
+        """The pattern in words, or in the YAML file with this name. Raises `BaggieError` for what is neither."""
+        path = Path(words)
+        if path.suffix not in PATTERN_FILES:
+            return cls.parse(words)
+        try:
+            return cls.read(path)
+        except OSError as error:
+            raise BaggieError(
+                f"expected a file with a pattern at {path}, got none ({error.strerror}); write {_WORDS}"
+            ) from None
 
     @classmethod
     def read(cls, path: Path) -> Pattern:
@@ -192,13 +207,12 @@ class Pattern:
             ]
         )
 
-    def paint(self, image: Image, project: Project, length_m: float, width_m: float) -> Image:
-        """A copy of a picture `(H, W, 3)` with bags of this size drawn in all slots, numbered as they are built.
+    def paint(self, image: Image, outline: Outline) -> Image:
+        """A copy of a picture `(H, W, 3)` with bags drawn in all slots, numbered as they are built.
 
-        The pattern is in the robot's base frame (`at`), `project` a map from there to the picture.
+        The pattern is in the robot's base frame (`at`), as are the poses that `outline` takes.
         """
-        outlines = self.outlines(length_m, width_m)
-        corners = project(outlines.reshape(-1, 3)).reshape(len(outlines), 4, 2)
+        corners = np.array([outline(slot.pose, slot.layer) for slot in self.slots])
         return paint_layers(image, corners, [slot.layer for slot in self.slots])
 
 

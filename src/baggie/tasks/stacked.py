@@ -92,6 +92,14 @@ class Stacked:
                     at[slot] = bag
         return at
 
+    def offsets_m(self, state: State) -> tuple[float | None, ...]:
+        """How far the bag that fills it is from each slot, by their numbers; None for a slot that none fills."""
+        at = self.filled(state)
+        return tuple(
+            state.places[at[number]].distance(slot.pose) if number in at else None
+            for number, slot in enumerate(self.pattern.slots)
+        )
+
     def next_action(self, state: State, _tool: Tool = "hand") -> PickPlace | None:
         """The first slot, in the order of building, gets the nearest bag that fills none and carries nothing.
 

@@ -18,6 +18,7 @@ from baggie.sim.cell import Cell, draw_cell
 from baggie.sim.objects import Block, Fixture, SceneObject
 from baggie.sim.variety import Variety
 from baggie.tasks.conditions import AtGoal, Condition, State, Tool
+from baggie.tasks.pattern import Pattern
 from baggie.types import PickPlace
 
 
@@ -101,6 +102,8 @@ class Task:
     """How many times a turn what is carried looks the same: place yaws that far apart come to the same."""
     has_goal: bool = False
     """Whether a policy is given a goal in the picture; else the conditions say where things go."""
+    pattern: Pattern | None = None
+    """Of stacked bags: what they are stacked in, in the pattern's own frame."""
     depth: bool = False
     """Whether the camera's depth is recorded with its pictures."""
     workspace: Rectangle = WORKSPACE

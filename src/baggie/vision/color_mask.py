@@ -147,17 +147,29 @@ def find_bag(image: Image, color: tuple[int, int, int]) -> Detection | None:
     `color` is the object's RGB colour in ordinary light. Raises `BaggieError` when it is grey, so that no hue
     tells the object from the table.
     """
+    return next(iter(find_bags(image, color)), None)
+
+
+def find_bags(image: Image, color: tuple[int, int, int]) -> Iterator[Detection | None]:
+    """Every plausible blob of a colour, the largest first; None for one that is none seen closely.
+
+    Raises `BaggieError` as `find_bag` does.
+    """
     reference = reference_of(color, "object")
     small, factor = shrunk(image)
     chroma = chroma_of(small)
     alike = hue_likeness(chroma, reference) > FIRST_THRESHOLD
-    first = _largest_blob(alike, small.shape[0] * small.shape[1])
-    if first is None:
-        return None
+    for first in _plausible(alike, small.shape[0] * small.shape[1]):
+        yield _seen_closely(image, chroma, first, factor)
+
+
+def _seen_closely(image: Image, chroma: Chroma, first: Mask, factor: int) -> Detection | None:
+    """What is a blob of a picture's `chroma`, which is `factor` times smaller than the picture."""
     seen = np.median(chroma[inside(first)], axis=0)
     window = hue_window(first, factor, image.shape)
     likeness = hue_likeness(chroma_of(image[window]), seen)
-    blob = _largest_blob(likeness > half_way(chroma, first, seen), image.shape[0] * image.shape[1])
+    alike = likeness > half_way(chroma, first, seen)
+    blob = next(_plausible(alike, image.shape[0] * image.shape[1]), None)
     if blob is None:
         return None
     match = float(np.clip(likeness[blob].mean(), 0.0, 1.0))
@@ -166,14 +178,13 @@ def find_bag(image: Image, color: tuple[int, int, int]) -> Detection | None:
     return _describe(mask, match)
 
 
-def _largest_blob(mask: Mask, picture_px: int) -> Mask | None:
-    """The largest connected part that could be a bag, by its shape and size in a picture of `picture_px`."""
+def _plausible(mask: Mask, picture_px: int) -> Iterator[Mask]:
+    """The connected parts that could be bags, the largest first, by shape and size in a picture of `picture_px`."""
     for blob, area in blobs(mask, _MIN_AREA * picture_px):
         _, (a, b), _ = cv2.minAreaRect(outline(blob))
         square_enough = max(a, b) <= _MAX_ASPECT * max(min(a, b), 1.0)
         if area <= _MAX_AREA * picture_px and square_enough and area >= _MIN_FILL * a * b:
-            return blob
-    return None
+            yield blob
 
 
 def _describe(blob: Mask, match: float) -> Detection:

@@ -1,4 +1,4 @@
-"""Corners of printed boards refined to a few hundredths of a pixel, and how a board that sags is bent.
+"""Corners of printed boards refined to a few hundredths of a pixel, how a board that sags is bent, and ArUco markers.
 
 Around a corner where two black and two white squares meet, the slightly blurred picture is a saddle, and its saddle
 point is the corner (Lucchese & Mitra, "Using saddle points for subpixel feature detection in camera calibration
@@ -17,7 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baggie.geometry import FloatArray
+from baggie.types import Image
 
+_MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
+"""Within which a corner is looked for again."""
 _BLUR_PX = 1.0
 _ROUNDS = 3
 _REMAP_STEPS = 32
@@ -90,3 +93,57 @@ def bows(points: FloatArray, board: FloatArray) -> FloatArray:
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
     half = np.maximum((high - low) / 2, np.finfo(float).tiny)
     return np.asarray(1 - ((points[:, :2] - (low + high) / 2) / half) ** 2, float)
+
+
+def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of markers with this name of its own, such as `DICT_4X4_50`."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
+    """What finds the markers of a dictionary, their corners to a fraction of a pixel."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(aruco_dictionary(dictionary), parameters)
+
+
+def radius_px(corners: FloatArray, squares: float) -> int:
+    """How far around a board's corners `(N, 2)` to look, pixels: so many squares' sides."""
+    apart = np.linalg.norm(corners[:, None] - corners, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    side = float(np.quantile(apart.min(axis=1), 0.1))  # those far away or seen from the side are the smallest
+    return int(np.clip(squares * side, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
+
+
+def grey_of(image: Image) -> Image:
+    """A picture `(H, W, 3)` without its colours, `(H, W)`; one that has none as it is."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
+
+
+_COMMON = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+
+
+def why_no_markers(image: Image, dictionary: str, wanted: int) -> str:
+    """Why fewer than so many markers of a dictionary are found in a picture, and what helps; in words."""
+    grey = grey_of(image)
+
+    def count(picture: Image, name: str) -> int:
+        _, ids, _ = marker_detector(name).detectMarkers(picture)
+        return 0 if ids is None else len(ids)
+
+    here, mirrored = count(grey, dictionary), count(np.ascontiguousarray(grey[:, ::-1]), dictionary)
+    if mirrored > 2 * here:  # now and then a mirrored marker is another one
+        return "the picture is mirrored; switch the mirroring of the camera or its driver off"
+    if here >= wanted > 1:
+        return (
+            f"all {wanted} markers are seen, but not where this board has them; are its squares counted right, and is "
+            "it one board?"
+        )
+    if here:
+        return f"only {here} of {wanted} markers are seen; show more of it, nearer and less slanted"
+    others = {name: count(grey, name) for name in _COMMON if not dictionary.startswith(name[:8])}
+    best = max(others, key=lambda name: others[name])
+    if others[best]:
+        family = best.rsplit("_", 1)[0]
+        return f"no marker of {dictionary} is seen, but {others[best]} of {family}; is that what was printed?"
+    return "no marker is seen; it may be too small, cut off, edge-on, blurred or in glare"

@@ -18,8 +18,7 @@ from baggie.files import write_bytes
 from baggie.geometry import FloatArray
 from baggie.options.commissioning import PrintOptions
 from baggie.options.values import BOARD, CARD_COLOR, HAND_BOARD, HAND_MARKER, TABLE_MARKER, DrawnStyle
-from baggie.vision.pattern import pattern
-from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target
+from baggie.vision.targets import ArucoMarker, Charuco, Chessboard, Target, parse_target, pattern
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0)}
 """Width and height upright, mm (ISO 216)."""

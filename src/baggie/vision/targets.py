@@ -1,5 +1,7 @@
 """Printed things whose points a camera finds by itself: ChArUco boards, chessboards, single ArUco markers.
 
+And what is black on them, rectangles in the target's own frame, for paper and for the simulator alike.
+
 A target's frame is OpenCV's: its origin is the pattern's top left corner (of a chessboard, the first inner one; of a
 marker, its middle), x runs right along the print, y down it, z into the paper. Marker points follow the same axes.
 """
@@ -18,13 +20,21 @@ from numpy.typing import NDArray
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray
 from baggie.types import Image
-from baggie.vision.corners import FLAT, MAX_MOVE_PX, Sag, refine_saddles
+from baggie.vision.corners import (
+    FLAT,
+    MAX_MOVE_PX,
+    Sag,
+    aruco_dictionary,
+    grey_of,
+    marker_detector,
+    radius_px,
+    refine_saddles,
+    why_no_markers,
+)
 from baggie.vision.goal_card import refine_bent_sides
 
 MIN_CORNERS = 6
 """Fewer corners of a board in a picture say too little about its pose."""
-_MIN_RADIUS_PX, _MAX_RADIUS_PX = 2, 8
-"""Within which a corner is looked for again."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +92,7 @@ class Charuco:
 
     def __post_init__(self) -> None:
         """Raise `BaggieError` where its dictionary has too few markers for it."""
-        count = len(_dictionary(self.dictionary).bytesList)
+        count = len(aruco_dictionary(self.dictionary).bytesList)
         if self.markers > count:
             raise BaggieError(
                 f"{self.spec} needs {self.markers} markers and {self.dictionary} has {count}; take a larger dictionary "
@@ -103,7 +113,7 @@ class Charuco:
     def board(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's own board."""
         size = (self.columns, self.rows)
-        board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
+        board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, aruco_dictionary(self.dictionary))
         board.setLegacyPattern(self.legacy)
         return board
 
@@ -120,7 +130,7 @@ class Charuco:
         return found or other
 
     def _detect_as_laid_out(self, image: Image) -> TargetDetection | None:
-        grey = _grey(image)
+        grey = grey_of(image)
         parameters = cv2.aruco.CharucoParameters()
         parameters.tryRefineMarkers = (
             True  # a blurred board whose markers are 18 pixels: 71 of 77 corners, not 14
@@ -133,7 +143,7 @@ class Charuco:
         # The window's own corner, too, must end before a marker's, which would draw it towards the board's middle.
         clear = (self.square_m - self.marker_m) / 2 / self.square_m
         return TargetDetection(
-            index, refine_saddles(grey, pixels, _radius_px(pixels, clear)), self.points[index]
+            index, refine_saddles(grey, pixels, radius_px(pixels, clear)), self.points[index]
         )
 
     def why_not(self, image: Image) -> str:
@@ -141,7 +151,7 @@ class Charuco:
         turned = replace(self, columns=self.rows, rows=self.columns)
         if self.columns != self.rows and turned.detect(image):
             return f"it is a board of {self.rows}x{self.columns} squares, not {self.columns}x{self.rows}; say it so"
-        return _why_no_markers(image, self.dictionary, self.markers)
+        return why_no_markers(image, self.dictionary, self.markers)
 
 
 @dataclass(frozen=True)
@@ -174,7 +184,7 @@ class Chessboard:
 
     def detect(self, image: Image) -> TargetDetection | None:
         """Find all its inner corners, or None."""
-        grey = _grey(image)
+        grey = grey_of(image)
         for board in (self, Chessboard(self.columns - 1, self.rows - 1, self.square_m)):
             if min(board.columns, board.rows) < 2:
                 continue
@@ -191,7 +201,7 @@ class Chessboard:
                         corners = corners[::-1]
             if found:
                 pixels = np.asarray(corners, float).reshape(-1, 2)
-                pixels = refine_saddles(grey, pixels, _radius_px(pixels, 0.5))
+                pixels = refine_saddles(grey, pixels, radius_px(pixels, 0.5))
                 points = self.sag.bend(board._flat, self._flat)
                 return TargetDetection(np.arange(len(pixels), dtype=np.int64), pixels, points)
         return None
@@ -228,12 +238,14 @@ class ArucoMarker:
 
     def detect(self, image: Image) -> TargetDetection | None:
         """Find its four corners in a picture."""
-        corners, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
+        corners, ids, _ = marker_detector(self.dictionary).detectMarkers(grey_of(image))
         matches = [] if ids is None else np.flatnonzero(ids.ravel() == self.number)
         if len(matches) != 1:
             return None
         found = np.asarray(corners[matches[0]], float).reshape(4, 2)
-        cell = 1 / (_dictionary(self.dictionary).markerSize + 2)  # its black border, and the white around it
+        cell = 1 / (
+            aruco_dictionary(self.dictionary).markerSize + 2
+        )  # its black border, and the white around it
         better = refine_bent_sides(image, found, cell)
         if better is not None and np.linalg.norm(better - found, axis=1).max() < MAX_MOVE_PX:
             found = better
@@ -241,13 +253,13 @@ class ArucoMarker:
 
     def why_not(self, image: Image) -> str:
         """Seen twice, another marker or dictionary, a mirrored picture, or nothing at all."""
-        _, ids, _ = _marker_detector(self.dictionary).detectMarkers(_grey(image))
+        _, ids, _ = marker_detector(self.dictionary).detectMarkers(grey_of(image))
         if ids is not None and (ids == self.number).sum() > 1:
             return f"marker {self.number} is in the picture {(ids == self.number).sum()} times; leave one"
         if ids is not None:
             others = ", ".join(map(str, sorted(set(ids.ravel().tolist()))))
             return f"marker {self.number} of {self.dictionary} is not in the picture, but {others} is"
-        return _why_no_markers(image, self.dictionary, 1)
+        return why_no_markers(image, self.dictionary, 1)
 
 
 def with_sag(target: Target, sag: Sag) -> Target:
@@ -277,7 +289,7 @@ def parse_target(spec: str) -> Target:
             return chessboard
         if kind == "aruco" and len(words) == 3:
             marker = ArucoMarker(_dictionary_name(words[0]), int(words[1]), float(words[2]))
-            count = len(_dictionary(marker.dictionary).bytesList)
+            count = len(aruco_dictionary(marker.dictionary).bytesList)
             _check(0 <= marker.number < count, f"a number below {count} in {marker.dictionary}")
             _check(0 < marker.size_m < 1, "sizes in metres, between 0 and 1 m")
             return marker
@@ -309,51 +321,80 @@ def _dictionary_name(name: str) -> str:
     return full
 
 
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+@dataclass(frozen=True)
+class Pattern:
+    """The drawing of a target: black rectangles on white, none of which overlap. Metres, the target's frame."""
+
+    black: FloatArray
+    """`(N, 4)`: left, top, right, bottom; x runs right and y down."""
+    bounds: FloatArray
+    """`(4,)`: the same of the whole pattern, white squares at its edge included."""
+
+    @property
+    def size(self) -> FloatArray:
+        """`(2,)`: width and height."""
+        return self.bounds[2:] - self.bounds[:2]
+
+    @property
+    def middle(self) -> FloatArray:
+        """`(2,)`: halfway between its edges."""
+        return (self.bounds[:2] + self.bounds[2:]) / 2
 
 
-def _marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)
+def pattern(target: Target) -> Pattern:
+    """How a target is drawn."""
+    match target:
+        case Charuco():
+            return _charuco(target)
+        case Chessboard():
+            # Where its two ends differ, the white one is the first: from there its corners are counted when found.
+            white_first = (target.columns + target.rows) % 2 == 1
+            squares = (
+                _checkers(target.columns + 1, target.rows + 1, target.square_m, white_first) - target.square_m
+            )
+            right, bottom = target.columns * target.square_m, target.rows * target.square_m
+            return Pattern(squares, np.array([-target.square_m, -target.square_m, right, bottom]))
+        case ArucoMarker():
+            dictionary = aruco_dictionary(target.dictionary)
+            half = target.size_m / 2
+            bounds = np.array([-half, -half, half, half])
+            return Pattern(_marker(dictionary, target.number, bounds), bounds)
+    raise BaggieError(f"expected a ChArUco board, a chessboard or a marker to draw, got {target!r}")
 
 
-def _radius_px(corners: FloatArray, squares: float) -> int:
-    """How far around a board's corners `(N, 2)` to look, pixels: so many squares' sides."""
-    apart = np.linalg.norm(corners[:, None] - corners, axis=2)
-    np.fill_diagonal(apart, np.inf)
-    side = float(np.quantile(apart.min(axis=1), 0.1))  # those far away or seen from the side are the smallest
-    return int(np.clip(squares * side, _MIN_RADIUS_PX, _MAX_RADIUS_PX))
+def _charuco(target: Charuco) -> Pattern:
+    dictionary = aruco_dictionary(target.dictionary)
+    corners = np.asarray(target.board.getObjPoints(), float)[
+        ..., :2
+    ]  # (M, 4, 2), from the top left clockwise
+    markers = [
+        _marker(dictionary, number, np.r_[corner[0], corner[2]])
+        for number, corner in zip(target.board.getIds(), corners, strict=True)
+    ]
+    squares = _checkers(target.columns, target.rows, target.square_m, white_first=_starts_white(target))
+    bounds = np.array([0.0, 0.0, target.columns * target.square_m, target.rows * target.square_m])
+    return Pattern(np.concatenate([squares, *markers]), bounds)
 
 
-def _grey(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
+def _starts_white(target: Charuco) -> bool:
+    """Whether the top left square is a white one; OpenCV counted from the bottom left before 4.6."""
+    return target.legacy and target.rows % 2 == 0
 
 
-_COMMON = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+def _checkers(columns: int, rows: int, square_m: float, white_first: bool = False) -> FloatArray:
+    """The black squares of a chessboard whose top left corner is the origin."""
+    row, column = np.nonzero(np.indices((rows, columns)).sum(axis=0) % 2 == int(white_first))
+    corner = np.stack([column, row], axis=1) * square_m
+    return np.concatenate([corner, corner + square_m], axis=1)
 
 
-def _why_no_markers(image: Image, dictionary: str, wanted: int) -> str:
-    grey = _grey(image)
-
-    def count(picture: Image, name: str) -> int:
-        _, ids, _ = _marker_detector(name).detectMarkers(picture)
-        return 0 if ids is None else len(ids)
-
-    here, mirrored = count(grey, dictionary), count(np.ascontiguousarray(grey[:, ::-1]), dictionary)
-    if mirrored > 2 * here:  # now and then a mirrored marker is another one
-        return "the picture is mirrored; switch the mirroring of the camera or its driver off"
-    if here >= wanted > 1:
-        return (
-            f"all {wanted} markers are seen, but not where this board has them; are its squares counted right, and is "
-            "it one board?"
-        )
-    if here:
-        return f"only {here} of {wanted} markers are seen; show more of it, nearer and less slanted"
-    others = {name: count(grey, name) for name in _COMMON if not dictionary.startswith(name[:8])}
-    best = max(others, key=lambda name: others[name])
-    if others[best]:
-        family = best.rsplit("_", 1)[0]
-        return f"no marker of {dictionary} is seen, but {others[best]} of {family}; is that what was printed?"
-    return "no marker is seen; it may be too small, cut off, edge-on, blurred or in glare"
+def _marker(dictionary: cv2.aruco.Dictionary, number: int, bounds: FloatArray) -> FloatArray:
+    """A marker's black modules within `bounds` (left, top, right, bottom), those side by side as one rectangle."""
+    modules = dictionary.markerSize + 2
+    picture = cv2.aruco.generateImageMarker(dictionary, number, modules)
+    module = (bounds[2:] - bounds[:2]) / modules
+    black = np.pad(picture == 0, ((0, 0), (1, 1))).astype(np.int8)
+    row, start = np.nonzero(np.diff(black, axis=1) == 1)
+    _, end = np.nonzero(np.diff(black, axis=1) == -1)
+    runs = np.stack([start, row, end, row + 1], axis=1)
+    return np.asarray(bounds[[0, 1, 0, 1]] + runs * np.r_[module, module], float)

@@ -30,7 +30,7 @@ from baggie.types import Image, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.vision.targets import Target
 from baggie.workcell.simulated_cameras import NoPictures, SimulatedCamera, SimulatedHeightMap, SimulatedView
-from baggie.workcell.workcell import Color, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Color, Workcell, WorkcellSettings, middle_m
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""
@@ -185,11 +185,11 @@ class SimulatedWorkcell(Workcell):
             return next_action(self.scene.conditions, self.state(), self.task.tool)
         return varied_action(self.scene, self.state(), rng)
 
-    def outline(self, pose: PlanarPose) -> FloatArray:
-        """`(4, 2)` pixels: where the outline of an object that rests at `pose` truly appears."""
-        length, width, height = self.settings.object_size_m
+    def outline(self, pose: PlanarPose, layer: int = 0) -> FloatArray:
+        """`(4, 2)` pixels: where the outline of an object truly appears that rests at `pose`, on so many like it."""
+        length, width, _ = self.settings.object_size_m
         corners = pose.outline(length, width)
-        return self.world.cell.project(np.c_[corners, np.full(4, height / 2)])
+        return self.world.cell.project(np.c_[corners, np.full(4, middle_m(self.settings, layer))])
 
     def show_paddle(self, shown: bool) -> None:
         """Put the calibration paddle into the hand, or take it away."""

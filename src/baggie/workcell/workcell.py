@@ -29,7 +29,7 @@ from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.robot.arm import Arm
 from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
 from baggie.robot.primitives import Handling, least_turn, pick, place
-from baggie.types import Failure, Image, Observation, Outcome, PickPlace, Plan
+from baggie.types import LAYER_M, Failure, Image, Observation, Outcome, PickPlace, Plan
 from baggie.vision.drift import Landmarks
 
 if TYPE_CHECKING:
@@ -164,19 +164,24 @@ NEAR_M = 0.005
 """From a plane so near what is seen at half a metre from under a camera 1 m up is 2 mm off, and that will do."""
 
 
-def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings) -> ImageToRobot:
-    """The map at half the object's height, where the middle of what is seen of it is.
+def middle_m(settings: WorkcellSettings, layer: int = 0) -> float:
+    """Metres above the table of the middle of what is seen of the object, in this layer of a stack; 0 is the table."""
+    return (layer + 0.5) * LAYER_M if layer else settings.object_size_m[2] / 2
 
-    As it is where it knows one height only, with a `BaggieWarning` where that is another.
+
+def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings, layer: int = 0) -> ImageToRobot:
+    """The map at the height where the middle of what is seen of the object is, in this layer of a stack.
+
+    On the table as it is where it knows one height only, with a `BaggieWarning` where that is another. Raises
+    `CalibrationError` where it does so higher up.
     """
-    middle_m = settings.object_size_m[2] / 2
-    if image_to_robot.height_aware:
-        return image_to_robot.at_height(middle_m)
-    if abs(image_to_robot.height_m - middle_m) > NEAR_M:
+    if layer or image_to_robot.height_aware:
+        return image_to_robot.at_height(middle_m(settings, layer))
+    if abs(image_to_robot.height_m - middle_m(settings)) > NEAR_M:
         warnings.warn(
             f"the map from the picture to the robot is right {image_to_robot.height_m:g} m above the table only, the "
-            f"middle of the object is {middle_m:g} m up: places are off by some millimetres; calibrate at two heights, "
-            "or with --intrinsics",
+            f"middle of the object is {middle_m(settings):g} m up: places are off by some millimetres; calibrate at "
+            "two heights, or with --intrinsics",
             BaggieWarning,
             stacklevel=2,
         )
@@ -225,10 +230,11 @@ class Workcell:
         if self.scene is not None:
             self.scene = self.scene.with_goal(goal, self.settings.object_symmetry)
 
-    def outline(self, pose: PlanarPose) -> FloatArray:
+    def outline(self, pose: PlanarPose, layer: int = 0) -> FloatArray:
         """`(4, 2)` pixels: where the outline of the object is to be expected when it rests at `pose`.
 
-        Raises `BaggieError` where there is no map from the picture to the robot.
+        `layer`: how many like it lie below, on each other. Raises `BaggieError` where there is no map from the picture
+        to the robot, or, above the table, one that knows one height only.
         """
         to_robot = self.calibrations.image_to_robot
         if to_robot is None:
@@ -237,7 +243,7 @@ class Workcell:
                 "baggie calibrate image-to-robot"
             )
         length, width, _ = self.settings.object_size_m
-        to_robot = at_outline(to_robot, self.settings).for_size(self.camera.size)
+        to_robot = at_outline(to_robot, self.settings, layer).for_size(self.camera.size)
         return to_robot.to_pixels(pose.outline(length, width))
 
     def demonstrate(self, rng: np.random.Generator | None = None) -> PickPlace | None:

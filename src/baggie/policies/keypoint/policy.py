@@ -306,6 +306,7 @@ class KeypointPolicy(LearnedPolicy):
     """
 
     name = "keypoint"
+    wants_goal = True
     network: KeypointNet
 
     def __init__(
