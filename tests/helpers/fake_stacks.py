@@ -9,10 +9,11 @@ import numpy as np
 
 from baggie import seeds
 from baggie.geometry import FloatArray, PlanarPose
+from baggie.options.values import Color
 from baggie.tasks.bag_stacks import WORKSPACE, colored_bags
 from baggie.tasks.pattern import LAYER_M
 from baggie.types import Observation, Outcome, PickPlace
-from baggie.workcell.workcell import Calibrations, Color, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Calibrations, Workcell, WorkcellSettings
 from helpers.fake_workcell import FakeArm, draw_polygon, tilted_camera
 
 SIZE = (1280, 720)

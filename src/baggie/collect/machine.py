@@ -27,12 +27,13 @@ from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.errors import BaggieError, LimitError, NobodyError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle, wrap_angle
 from baggie.operator import Operator, errand
+from baggie.options.values import Color
 from baggie.robot.handling_rules import ROOM_M
 from baggie.robot.limits import MARGIN_M
 from baggie.seeds import first_fit
 from baggie.types import Failure, Observation, Outcome, PickPlace
 from baggie.vision.color_mask import Detection, find_bag
-from baggie.workcell.workcell import Color, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Workcell, WorkcellSettings
 
 MIN_DISTANCE_M = 0.20
 FALSE_45_RAD = math.radians(7)

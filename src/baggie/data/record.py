@@ -150,22 +150,10 @@ _PICTURES = pa.schema(
         ("after_height", pa.binary()),
     ]
 )
-_LATER: Mapping[str, int | None] = {"step": 0} | dict.fromkeys(
-    [
-        "episode",
-        "reward",
-        "before_grid",
-        "after_grid",
-        "before_height",
-        "after_height",
-        "object_symmetry",
-        "commanded_heights",
-        "executed_heights",
-        "pick_layer",
-        "place_layer",
-        "under",
-    ]
-)
+_LATER: Mapping[str, int | None] = {
+    **dict.fromkeys([*_NUMBERS.names[_NUMBERS.names.index("episode") :], "before_height", "after_height"]),
+    "step": 0,
+}
 """The columns that older recordings lack, and what they read as there."""
 SCHEMA = pa.unify_schemas([_NUMBERS, _PICTURES])
 """The columns of `attempts/`; docs/data-format.md says what each is."""

@@ -18,9 +18,10 @@ from baggie.cameras.camera import Camera
 from baggie.cameras.live import LiveCamera
 from baggie.errors import BaggieError
 from baggie.geometry import Rectangle
+from baggie.options.values import Color
 from baggie.robot.arm import Arm, let_go
 from baggie.robot.limits import Watchdog
-from baggie.workcell.workcell import Calibrations, Color, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Calibrations, Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import CalibrationFiles, WorkcellFile, read_workcell_file
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
-from baggie.options.values import USUAL_TASK, Scenery
+from baggie.options.values import USUAL_TASK, Color, Scenery
 from baggie.registry import TASKS
 from baggie.robot.limits import Limits
 from baggie.sim.arm import BLOCK_HANDLING, SimulatedArm, SuctionArm
@@ -30,7 +30,7 @@ from baggie.types import Image, PickPlace
 from baggie.vision.height_map import RAVENS_DEPTH_CAMERAS
 from baggie.vision.targets import Target
 from baggie.workcell.simulated_cameras import NoPictures, SimulatedCamera, SimulatedHeightMap, SimulatedView
-from baggie.workcell.workcell import Color, Workcell, WorkcellSettings, middle_m
+from baggie.workcell.workcell import Workcell, WorkcellSettings, middle_m
 
 _FIRST = (0,)
 """Names the scene a workcell opens with."""

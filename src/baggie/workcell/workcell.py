@@ -26,6 +26,7 @@ from baggie.calibration.robot_to_world import CameraToRobot
 from baggie.cameras.camera import Camera
 from baggie.errors import BaggieError, BaggieWarning, BumpedError, LimitError, ReachError, UnsureError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.options.values import Color
 from baggie.robot.arm import Arm
 from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
 from baggie.robot.primitives import Handling, least_turn, pick, place
@@ -113,10 +114,6 @@ _SAME_WIDTH_M = 0.003
 """Fingers that let go stand so near to where they were sent."""
 _OPEN_M = 0.005
 """A hand that is so near to as wide as it opens is empty: what it goes over is narrower by more."""
-
-
-Color = tuple[int, int, int]
-"""RGB."""
 
 
 @dataclass(frozen=True)
