@@ -217,10 +217,12 @@ def _above(bag: Lying, other: Lying) -> bool:
 
 
 def _free(rng: np.random.Generator, lying: Sequence[Lying]) -> PlanarPose:
-    pose = _random_pose(rng)
-    while any(pose.distance(bag.pose) < 0.19 for bag in lying):
+    """A pose well apart from all bags; three find room everywhere."""
+    for _ in range(1000):
         pose = _random_pose(rng)
-    return pose
+        if all(pose.distance(bag.pose) >= 0.19 for bag in lying):
+            return pose
+    raise ValueError(f"no room beside {len(lying)} bags")
 
 
 def _random_pose(rng: np.random.Generator) -> PlanarPose:
