@@ -190,7 +190,7 @@ def _stacked(number: int, rng: np.random.Generator, lying: list[Lying], size: tu
     tops = [bag for bag in lying if not any(_above(other, bag) for other in lying)]
     moved = tops[int(rng.integers(len(tops)))]
     below = [bag for bag in tops if bag is not moved]
-    ends = Lying(_free(rng, lying), 0, moved.color)
+    ends = Lying(_free(rng, [bag for bag in lying if bag is not moved]), 0, moved.color)
     if below and rng.random() < 0.6:
         on = below[int(rng.integers(len(below)))]
         ends = Lying(_noisy(on.pose, rng), on.layer + 1, moved.color)
@@ -217,10 +217,12 @@ def _above(bag: Lying, other: Lying) -> bool:
 
 
 def _free(rng: np.random.Generator, lying: Sequence[Lying]) -> PlanarPose:
-    pose = _random_pose(rng)
-    while any(pose.distance(bag.pose) < 0.19 for bag in lying):
+    """A pose apart from all bags; beside two there is room for a third, wherever they lie."""
+    for _ in range(1000):
         pose = _random_pose(rng)
-    return pose
+        if all(pose.distance(bag.pose) >= 0.15 for bag in lying):
+            return pose
+    raise ValueError(f"no room beside {len(lying)} bags")
 
 
 def _random_pose(rng: np.random.Generator) -> PlanarPose:
