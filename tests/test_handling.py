@@ -255,6 +255,11 @@ def test_where_nobody_knows_how_high_a_soft_thing_lies_it_is_felt_for(top: float
     assert arm.forces == [h.top_force_n, h.touch_force_n, h.stand_force_n, h.land_force_n]
 
 
+def test_a_stack_that_is_higher_than_counted_stops_the_hand() -> None:
+    arm, h = StackArm(0.15), Handling()
+    assert place(arm, STACK.place, h, 0.05).pose.z == pytest.approx(0.15 - h.press_m)
+
+
 @given(st.floats(0.05, 0.15), st.floats(-0.01, 0.01))
 def test_an_arm_that_feels_corrects_a_counted_height_by_touch(top: float, off: float) -> None:
     h = Handling()

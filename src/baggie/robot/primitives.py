@@ -25,6 +25,10 @@ _FINELY = 3
 """So many times more slowly the hand comes down to feel for what is soft."""
 _LOWER_M = 0.012
 """So much lower than counted what lies above the table is felt for."""
+_SHORT_M = 0.025
+"""Until so much short of where it is counted the hand comes down as ever,"""
+_STRAY_M = 0.003
+"""and is not further off then."""
 _WOBBLE_RAD = 0.01
 """An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
@@ -154,8 +158,14 @@ def _feel_down(arm: Arm, handling: Handling, on_m: float | None, descent: _Desce
             f"{arm.info.name}, which feels {arm.info.feels_n:g} N; say the height of what lies below "
             "(PickPlace.pick_on_m, place_on_m)"
         )
-    lowest = descent.z if on_m is None else max(on_m - _LOWER_M, 0.0) + descent.z
-    touched = arm.lower_until_contact(lowest, feel_m_s / _FINELY, descent.first_n)
+    lowest = descent.z
+    touched = at = arm.pose()
+    if on_m is not None:
+        lowest += max(on_m - _LOWER_M, 0.0)
+        at = replace(at, z=min(at.z, on_m + descent.z + descent.further_m + _SHORT_M))
+        touched = arm.lower_until_contact(at.z, feel_m_s, descent.first_n)
+    if touched.z <= at.z + _STRAY_M:  # nothing was higher than counted
+        touched = arm.lower_until_contact(lowest, feel_m_s / _FINELY, descent.first_n)
     if touched.z > lowest:
         lower = max(touched.z - descent.further_m, lowest)
         arm.lower_until_contact(lower, feel_m_s / _FINELY, descent.guard_n)
