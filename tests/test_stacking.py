@@ -21,7 +21,7 @@ from baggie.tasks.bag_stacks import WORKSPACE
 from baggie.types import Attempt
 from helpers.fake_stacks import SETTINGS, SIZE, FakeStacks
 
-RECORDING = Recording("stack", 0, 0, (320, 180))
+RECORDING = Recording("stack", 0, 0, (320, 180), stacks=True)
 
 
 @pytest.fixture(scope="module")

@@ -60,7 +60,13 @@ def _collect(
         ) as writer:
             size = writer.settings.picture_size
             recording = Recording(
-                task.instruction, options.seed, options.cell, size, options.style, depth=task.depth
+                task.instruction,
+                options.seed,
+                options.cell,
+                size,
+                options.style,
+                depth=task.depth,
+                stacks=task.has_goal and len(task.things) > 1,
             )
             awaited = Awaited(operator, 60 * options.wait, can_help=not simulated)
             run = functools.partial(

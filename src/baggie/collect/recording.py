@@ -33,6 +33,8 @@ class Recording:
     """Of whoever demonstrates."""
     depth: bool = False
     """Whether pictures are recorded with the depth that their camera may measure."""
+    stacks: bool = False
+    """Whether several bags lie about, which the robot builds of."""
 
 
 class Demonstrator(Protocol, Generic[Work]):

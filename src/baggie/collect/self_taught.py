@@ -28,6 +28,7 @@ from baggie.commissioning.image_to_robot import calibrate_into
 from baggie.data import Dataset, DatasetWriter, open_dataset
 from baggie.data.files import CALIBRATION_FOLDER, PHYSICS
 from baggie.data.record import fit, without_depth
+from baggie.data.summary import layers
 from baggie.errors import BaggieError
 from baggie.files import write_if_possible
 from baggie.geometry import FloatArray, Rectangle
@@ -40,7 +41,7 @@ from baggie.types import Attempt, Observation, Truth
 from baggie.vision.color_mask import Detection
 from baggie.workcell.config import open_written
 from baggie.workcell.replay import ReplayWorkcell
-from baggie.workcell.workcell import Watch, Workcell, WorkcellSettings
+from baggie.workcell.workcell import Watch, Workcell
 from baggie.workcell.workcell_file import SIMULATED, WorkcellFile, read_workcell_file
 
 COVERAGE_FILE = "coverage.png"
@@ -53,7 +54,7 @@ ATTEMPTS_PER_SITTING = 10
 SIMULATED_PHYSICS = 2
 """Of soft things, as recordings say it: it rises whenever the same seed comes to give other attempts."""
 SQUARE = 4
-"""The symmetry of a square bag."""
+"""The symmetry of bags to stack: they are turned as it is said, but look the same after a quarter turn."""
 STALL_AFTER = 5
 """Attempts in a row without a success before a person is asked."""
 
@@ -258,7 +259,7 @@ def run_sitting(
     cell.reset((seeds.COLLECTION, recording.seed, number))
     begun_at = (first,) if first else ()  # or places would be the first ones over again
     rng = seeds.generator(seeds.PLACES, recording.seed, number, *begun_at)
-    play: Play = Stacking(image_to_robot, cell.settings, rng) if cell.settings.object_colors else Scatter()
+    play: Play = Stacking(image_to_robot, cell.settings, rng) if recording.stacks else Scatter()
     doubted = rescued = False
     seen: Observation | None = None
     failures = 0
@@ -307,18 +308,13 @@ def as_attempt(turn: Turn, recording: Recording, attempt_id: int, time: float) -
         cell=recording.cell,
         seed=recording.seed,
         time=time,
-        object_symmetry=looks_alike(turn.cell.settings),
+        object_symmetry=SQUARE if recording.stacks else turn.cell.settings.object_symmetry,
         truth=_truth(turn),
         pick_layer=turn.layers[0] if turn.layers else None,
         place_layer=turn.layers[1] if turn.layers else None,
         under=turn.under,
     )
     return fit(attempt if recording.depth else without_depth(attempt), recording.size)
-
-
-def looks_alike(settings: WorkcellSettings) -> int:
-    """How often a turn a workcell's object looks the same; several are square bags, which are turned as it is said."""
-    return SQUARE if settings.object_colors else settings.object_symmetry
 
 
 def _truth(turn: Turn) -> Truth | None:
@@ -348,6 +344,7 @@ def summarize(dataset: Dataset, area: Rectangle) -> dict[str, Any]:
         "attempts": len(dataset),
         "succeeded": int(succeeded.sum()),
         "failed": dict(failed.most_common()),
+        **layers(dataset),
         "grasped_at_first_try": int((succeeded & (numbers["tries"] == 1)).sum()),
         "coverage": coverage(np.concatenate([executed[:, 0:2], executed[:, 3:5]]), area),
     }

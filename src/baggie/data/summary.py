@@ -59,6 +59,7 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
     5 cm squares were visited. `duration_s` spans from the first picture to the last; where the clock began anew
     meanwhile, as a simulated one does with every scene, what went before is added. `episodes` is there where attempts
     belong to some: how many, how many of those were finished (earned everything), and what they earned on average.
+    `layers` is there where bags lay on each other.
     Raises DataError where there is no dataset.
     """
     dataset = open_dataset(root)
@@ -68,6 +69,7 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "succeeded": len(dataset) - failures.total(),
         "failed": dict(failures.most_common()),
         **_episodes(dataset),
+        **layers(dataset),
         "task": dataset.settings.task,
         "robot_type": dataset.settings.robot_type,
         "picture_size": list(dataset.settings.picture_size),
@@ -79,6 +81,20 @@ def inspect_dataset(root: Path | str) -> dict[str, Any]:
         "megabytes": round(_size(dataset.root) / 1e6, 1),
         "collection": dict(dataset.collection),
     }
+
+
+def layers(dataset: Dataset) -> dict[str, Any]:
+    """How many bags were placed in each layer, and how many stayed there; empty where nobody counts layers."""
+    numbers = dataset.numbers()
+    layer, succeeded = numbers["place_layer"], numbers["success"]
+    counted = {
+        str(int(each)): {
+            "placed": int((layer == each).sum()),
+            "succeeded": int((succeeded & (layer == each)).sum()),
+        }
+        for each in np.unique(layer[np.isfinite(layer)])
+    }
+    return {"layers": counted} if counted else {}
 
 
 def _size(root: Path) -> int:

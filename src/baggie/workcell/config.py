@@ -112,6 +112,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         ),
         handling=written.handled().handling,
         object_color=written.bag.color,
+        object_colors=written.bag.colors,
         object_size_m=written.bag.thing.size_m,
         object_hard=written.bag.hard,
         object_symmetry=written.bag.simulated.symmetry,

@@ -71,6 +71,8 @@ class BagEntry(Section):
     mass_kg: float = Field(0.2, gt=0.02, lt=1.0)
     """In a simulated cell."""
     color: Color = (196, 40, 44)
+    colors: tuple[Color, ...] = ()
+    """Of all bags that lie about, each another, where there are several to stack."""
 
     @model_validator(mode="after")
     def _length_is_the_longer(self) -> BagEntry:
@@ -103,11 +105,10 @@ class BagEntry(Section):
         )
 
     def recorded(self) -> dict[str, Any]:
-        """What a recording says of it: `height_m` and `hard`, which older ones do not know, where they are unusual."""
-        usual = BagEntry()
+        """What a recording says of it: what older ones do not know, where it is unusual."""
+        usual, later = BagEntry(), ("height_m", "hard", "colors")
         return self.model_dump(
-            mode="json",
-            exclude={name for name in ("height_m", "hard") if getattr(self, name) == getattr(usual, name)},
+            mode="json", exclude={name for name in later if getattr(self, name) == getattr(usual, name)}
         )
 
     def check_simulated(self) -> None:
