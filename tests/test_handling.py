@@ -255,9 +255,10 @@ def test_where_nobody_knows_how_high_a_soft_thing_lies_it_is_felt_for(top: float
     assert arm.forces == [h.top_force_n, h.touch_force_n, h.stand_force_n, h.land_force_n]
 
 
-def test_a_stack_that_is_higher_than_counted_stops_the_hand() -> None:
-    arm, h = StackArm(0.15), Handling()
-    assert place(arm, STACK.place, h, 0.05).pose.z == pytest.approx(0.15 - h.press_m)
+def test_what_is_higher_than_counted_stops_the_hand() -> None:
+    arm = RecordingArm(floor_z=0.15)
+    arm.info = replace(arm.info, feels_n=0.1)
+    assert place(arm, STACK.place, Handling(), 0.05).pose.z == pytest.approx(0.15)
 
 
 @given(st.floats(0.05, 0.15), st.floats(-0.01, 0.01))

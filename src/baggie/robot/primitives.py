@@ -28,7 +28,7 @@ _LOWER_M = 0.012
 _SHORT_M = 0.025
 """Until so much short of where it is counted the hand comes down as ever,"""
 _STRAY_M = 0.003
-"""and is not further off then."""
+"""and is not further from there then, unless something was in the way."""
 _WOBBLE_RAD = 0.01
 """An arm foresees turns less exactly than this; one that goes the longer way is off by more."""
 
@@ -159,13 +159,13 @@ def _feel_down(arm: Arm, handling: Handling, on_m: float | None, descent: _Desce
             "(PickPlace.pick_on_m, place_on_m)"
         )
     lowest = descent.z
-    touched = at = arm.pose()
     if on_m is not None:
         lowest += max(on_m - _LOWER_M, 0.0)
-        at = replace(at, z=min(at.z, on_m + descent.z + descent.further_m + _SHORT_M))
-        touched = arm.lower_until_contact(at.z, feel_m_s, descent.first_n)
-    if touched.z <= at.z + _STRAY_M:  # nothing was higher than counted
-        touched = arm.lower_until_contact(lowest, feel_m_s / _FINELY, descent.first_n)
+        short_m = on_m + descent.z + descent.further_m + _SHORT_M
+        # Fast, so a load that swings is felt, too: only what is clearly in the way counts.
+        if arm.lower_until_contact(short_m, feel_m_s, descent.guard_n).z > short_m + _STRAY_M:
+            return
+    touched = arm.lower_until_contact(lowest, feel_m_s / _FINELY, descent.first_n)
     if touched.z > lowest:
         lower = max(touched.z - descent.further_m, lowest)
         arm.lower_until_contact(lower, feel_m_s / _FINELY, descent.guard_n)
