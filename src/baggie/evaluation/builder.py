@@ -79,9 +79,7 @@ class _Asked:
 class Builder:
     """Says the next goal of a pattern, and plans for it by a policy that takes goals.
 
-    builder = Builder(cell, policy, pattern.at(site))
-    while (goal := builder.look(seen := cell.look())) is not None:
-        builder.note(cell.carry_out(builder.plan(seen, goal)))
+    First `look` at a picture, then `plan` for the goal, then `note` what came of it; `build` does so.
     """
 
     def __init__(self, cell: Workcell, policy: Planner, pattern: Pattern, care: Care | None = None) -> None:
