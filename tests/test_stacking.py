@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from baggie.collect.machine import Stopped
 from baggie.collect.recording import Recording
 from baggie.collect.self_taught import run_sitting
 from baggie.collect.stacking import Stacking
-from baggie.commissioning.image_to_robot import grid
+from baggie.commissioning.image_to_robot import calibrate, grid
 from baggie.errors import BaggieError
+from baggie.geometry import PlanarPose
 from baggie.operator import Nobody
+from baggie.robot.primitives import Handling
 from baggie.tasks.bag_stacks import WORKSPACE
 from baggie.types import Attempt
+from baggie.workcell.simulated import SimulatedWorkcell, open_simulated
 from helpers.fake_stacks import SETTINGS, SIZE, FakeStacks
 
 RECORDING = Recording("stack", 0, 0, (320, 180), stacks=True)
@@ -130,3 +134,37 @@ def test_what_one_cannot_stack_by_is_refused(to_robot: ImageToRobot) -> None:
     flat = ImageToRobot.fit(FakeStacks().camera.project(robot), robot, CameraIdentity("top", *SIZE))
     with pytest.raises(BaggieError, match="knows more than one height"):
         Stacking(flat, SETTINGS, rng)
+
+
+# in the simulator
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Iterator[SimulatedWorkcell]:
+    cell = open_simulated(0, "bag-stack", depth=False)
+    yield cell
+    cell.close()
+
+
+def test_the_simulated_robot_lays_bags_on_bags_by_what_it_sees_and_feels(
+    simulated: SimulatedWorkcell,
+) -> None:
+    to_robot = calibrate(simulated, 0)
+    shown = list(islice(run_sitting(simulated, to_robot, RECORDING, 0, operator=Nobody()), 3))
+    assert sum(attempt.outcome.success for attempt in shown) >= 2
+    stacked = [attempt for attempt in shown if attempt.place_layer and attempt.outcome.success]
+    assert stacked
+    for attempt in stacked:
+        assert attempt.truth is not None
+        assert attempt.truth.after.distance(attempt.under[0]) < 0.05
+        assert attempt.outcome.place_z_m > Handling().place_z_m + 0.01  # felt to stand above the table
+
+
+def test_bags_that_strayed_are_laid_back_where_there_is_room(simulated: SimulatedWorkcell) -> None:
+    simulated.reset((3,))
+    assert not simulated.rescue()
+    simulated.world.put("bag 2", PlanarPose(0.5, 0.6))
+    assert simulated.rescue()
+    places = [simulated.truth(color) for color in simulated.settings.object_colors]
+    assert WORKSPACE.contains(places[1].x, places[1].y)
+    assert min(places[1].distance(other) for n, other in enumerate(places) if n != 1) > 0.1
