@@ -232,7 +232,7 @@ def keypoint_plan(
     corners = apply_homography(view.normalize(), goal.corners).astype(np.float32)
     layers = np.array([goal.object_layer, goal.layer], np.float32)
     found = read(image[None], near, corners, layers)
-    share, heat = found.share[0], found.heat[0]
+    share, heat = found.share[0], found.heat[0]  # of the whole picture, which the views show
     in_sight = share >= _IN_SIGHT
     if knows_layers and goal.object_at is None:
         # Several bags that can be picked share the heat map; the one at its peak is as if it were pointed at.
@@ -247,9 +247,7 @@ def keypoint_plan(
     pick = PlanarPose(float(found.xy[0, 0]), float(found.xy[0, 1]), float(found.yaw))
     yaw = place_yaw(found.goal_xy.astype(float), int(found.symmetry), pick.yaw)
     place = PlanarPose(float(found.xy[1, 0]), float(found.xy[1, 1]), yaw)
-    views = {
-        name: _over_picture(view, heat) for name, heat in zip(("pick", "place"), found.heat, strict=True)
-    }
+    views = {"pick": _over_picture(view, heat), "place": _over_picture(view, found.heat[1])}
     pick_within, place_within = (float(r) if r > 0 else None for r in found.within_m)
     action = PickPlace(pick, place, goal.object_layer * LAYER_M, goal.layer * LAYER_M)
     return Plan(action, min(sure, 1.0), pick_within, place_within, views)
