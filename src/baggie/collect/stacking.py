@@ -21,6 +21,7 @@ from baggie.geometry import PlanarPose, wrap_angle
 from baggie.robot.limits import MARGIN_M
 from baggie.seeds import first_fit
 from baggie.tasks.pattern import Pattern
+from baggie.tasks.stacked import LAID_ANEW_M
 from baggie.types import LAYER_M, Failure, Observation, PickPlace
 from baggie.vision.color_mask import Detection, find_bag
 from baggie.workcell.workcell import WorkcellSettings
@@ -29,8 +30,8 @@ PATTERNS = {"tower:3": 0.35, "tower:4": 0.15, "pyramid:2-1": 0.2, "pyramid:3-2-1
 """What is built, and in which share of cases; where there is no room for it, the first."""
 LANDED_M = 0.03
 """A bag seen so near to where it was to land lies there; one laid on others that is seen further away slid off."""
-LAID_ANEW_M, _ANEW = 0.01, 2
-"""One that lies further from its slot is laid there anew, at most so many times in a row."""
+_ANEW = 2
+"""One that lies beside its slot is laid there anew, at most so many times in a row."""
 _SLIPPED = 3
 """So often may bags slide off one slot; then what was built is taken apart."""
 _STIRRED_M = 0.05

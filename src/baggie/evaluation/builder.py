@@ -18,12 +18,11 @@ from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.policies.memory import Planner
 from baggie.tasks.pattern import Pattern
+from baggie.tasks.stacked import LAID_ANEW_M
 from baggie.types import LAYER_M, Goal, Observation, Outcome, Plan
 from baggie.vision.draw import region_mask
 from baggie.workcell.workcell import Workcell
 
-LAID_ANEW_M = 0.01
-"""A bag further than this from where it was to be is laid anew before others are laid on it: what leans falls."""
 MOST_ANEW = 2
 """How often the bag of a slot is laid anew."""
 FALLEN_M = 0.05

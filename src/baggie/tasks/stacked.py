@@ -27,7 +27,7 @@ STRAIGHT_RISE_M, BRIDGE_RISE_M, MOST_RISE_M = 0.011, 0.008, 0.033
 """By how much a bag lies above what carries it: at least, straight on one bag, and over a gap; and at most."""
 UNDER_M = 0.045
 """What is so near to a place, seen from above, is under a bag that is laid there."""
-_LAID_ANEW_M = 0.01
+LAID_ANEW_M = 0.01
 """A bag further than this from where it was to be is laid anew before others are laid on it: what leans falls."""
 _IN_THE_WAY_M = 0.11
 """What lies nearer to a place than this is in the way of a bag laid there."""
@@ -119,7 +119,7 @@ class Stacked:
                     if other != bag and state.places[other].distance(aim) < _IN_THE_WAY_M
                 ]
                 return self._carry(bag, self._aside(bag, state) if in_the_way else aim, state)
-            if state.places[bag].distance(aim) > _LAID_ANEW_M and not self._carries(bag, state):
+            if state.places[bag].distance(aim) > LAID_ANEW_M and not self._carries(bag, state):
                 return self._carry(bag, aim, state)
         return None
 
