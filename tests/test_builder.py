@@ -128,6 +128,13 @@ def test_neither_a_missed_grasp_nor_a_bag_that_was_dropped_fills_a_slot() -> Non
     assert max(off(cell, "tower:2")) < SMALL_M
 
 
+def test_a_bag_that_only_seemed_to_be_dropped_is_found_where_it_lies_and_laid_anew() -> None:
+    cell = BagTable(LOOSE[:2], [(0.0, 0.0), "thin"])
+    assert [step.slot for step in built(cell, "tower:2")] == [0, 1, 1]
+    assert [action.pick_on_m for action in cell.done] == [0.0, 0.0, LAYER_M]
+    assert max(off(cell, "tower:2")) < SMALL_M
+
+
 def test_a_bag_that_is_lost_when_it_is_laid_anew_opens_its_slot() -> None:
     cell = BagTable(LOOSE, [(0.0, 0.02), "drop"])
     assert [step.slot for step in built(cell, "tower:2")] == [0, 0, 0, 1]

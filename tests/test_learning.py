@@ -36,7 +36,7 @@ from baggie.options.training import TRAININGS
 from baggie.policies import KeypointPolicy, load_policy
 from baggie.policies.base import check_policy
 from baggie.policies.keypoint import heads as planar_map
-from baggie.policies.planning import POINTED_CELLS
+from baggie.policies.planning import STACKED_CELLS
 from baggie.policies.regression import ResNet18
 from baggie.types import LAYER_M, Goal, Observation, PickPlace, Plan
 from baggie.vision.draw import paint_goal
@@ -235,6 +235,23 @@ def test_of_two_bags_the_one_pointed_at_is_picked_and_places_are_right_in_any_la
     below("without anybody pointing, to the nearer bag (m)", max(chosen), 0.04)
 
 
+def test_of_bags_side_by_side_in_a_row_the_one_pointed_at_is_picked(stacker, below):
+    picks, goal = [], Goal(box_corners(PlanarPose(0.42, -0.25), SIZE))
+    for seed in range(4):
+        rng = np.random.default_rng([9, seed])
+        row = [
+            Lying(PlanarPose(0.55, y), 0, color)
+            for y, color in zip((-0.13, 0.0, 0.13), COLORS[:3], strict=True)
+        ]
+        seen = observe_bags(row, rng, SIZE)
+        for bag in row:
+            at = box_corners(bag.pose, SIZE).mean(axis=0) + rng.uniform(-3, 3, 2)
+            picks.append(
+                stacker.plan(seen, replace(goal, object_at=tuple(at))).action.pick.distance(bag.pose)
+            )
+    below("pick (m)", max(picks), 0.02)
+
+
 def test_nobody_has_to_point_at_one_of_many_bags_and_an_empty_table_is_told_from_them(stacker, below):
     rng = np.random.default_rng(8)
     goal = Goal(box_corners(PlanarPose(0.5, 0.0), SIZE))
@@ -258,9 +275,9 @@ def test_labels_of_stacks_are_exact_in_their_layers_and_what_was_picked_is_point
         found = recipe.policy.network.to_robot(points, batch["layers"])
         assert torch.allclose(found, batch["xy"], atol=2e-5)
         beside = (batch["near"][:, :2] - batch["cells"][:, 0]).norm(dim=-1)
-        assert (beside < POINTED_CELLS / 2).all()
+        assert (beside < STACKED_CELLS / 2).all()
         assert (beside > 0).any()
-        assert (batch["near"][:, 2] == POINTED_CELLS).all()
+        assert (batch["near"][:, 2] == STACKED_CELLS).all()
         layers |= {tuple(pair) for pair in batch["layers"].tolist()}
     assert len(layers) == 4, "any goal, with its layer, in any picture"
     assert any(p is recipe.policy.network.to_robot.lift for p in recipe.optimizer().param_groups[1]["params"])
@@ -276,7 +293,7 @@ def test_a_pick_is_read_near_where_it_was_and_its_heat_map_stays_whole():
     for found, near in ((there, batch["near"]), (elsewhere, batch["near"] + torch.tensor([15.0, 0.0, 0.0]))):
         assert torch.equal(found.logits, whole.logits)
         assert torch.equal(found.cells[:, 1], whole.cells[:, 1])
-        assert ((found.cells[:, 0] - near[:, :2]).norm(dim=-1) <= POINTED_CELLS).all()
+        assert ((found.cells[:, 0] - near[:, :2]).norm(dim=-1) <= STACKED_CELLS).all()
     assert not torch.equal(there.cells[:, 0], elsewhere.cells[:, 0])
 
 

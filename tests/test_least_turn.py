@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 from baggie.cameras.camera import Camera
 from baggie.errors import LimitError, ReachError
 from baggie.geometry import PlanarPose, ToolPose, nearest_angle, wrap_angle
+from baggie.robot.primitives import Handling
 from baggie.sim.arm import BLOCK_HANDLING, SEALED_WIDTH_M
 from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
 from helpers.recording_arm import RecordingArm, TimelessCell
 
-SETTINGS = WorkcellSettings()
+SETTINGS = WorkcellSettings(
+    handling=Handling(release_width_m=0.05)
+)  # so that letting go is told from opening
 PICK, PLACE = PlanarPose(0.45, 0.12, 0.3), PlanarPose(0.55, -0.15)
 TURN = 2 * math.pi
 CLOSE_RAD = 0.02  # the least turn is found as exactly as an arm foresees turns

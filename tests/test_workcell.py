@@ -32,7 +32,9 @@ from baggie.workcell.workcell_file import read_workcell_file
 from helpers.recording_arm import RecordingArm, TimelessCell
 from helpers.synthetic import image_to_robot, to_pixels
 
-SETTINGS = WorkcellSettings()
+SETTINGS = WorkcellSettings(
+    handling=Handling(release_width_m=0.05)
+)  # so that letting go is told from opening
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
@@ -235,7 +237,7 @@ def test_a_real_cell_begins_with_what_the_hand_still_holds_put_down_inside_its_w
     assert arm.log == log, "an empty hand has nothing to put down"
 
 
-@pytest.mark.parametrize("width", [0.0, 0.034, 0.036, 0.076, 0.08])
+@pytest.mark.parametrize("width", [0.0, 0.049, 0.051, 0.076, 0.08])
 def test_a_hand_that_is_shut_or_has_let_go_holds_nothing(width: float) -> None:
     arm = RecordingArm()
     arm.width = width

@@ -143,10 +143,8 @@ class Builder:
             self._laid_anew[self.slot] += 1
         if outcome is None or outcome.failure == "missed-grasp":
             return
-        if outcome.success:
-            self._unseen = self.slot
-        else:
-            self._lies.pop(self.slot, None)
+        # Fingers that held a thin fold seem empty at the end: where it is seen to lie tells whether it was dropped.
+        self._unseen = self.slot
 
     def _wanting(self, slot: int) -> bool:
         """Whether a slot is open, or its bag is to be laid anew."""

@@ -33,7 +33,7 @@ from baggie.policies.keypoint.policy import (
     phases_under,
 )
 from baggie.policies.learned import LearnedPolicy
-from baggie.policies.planning import ANYWHERE_CELLS, POINTED_CELLS, GoalInput, View
+from baggie.policies.planning import ANYWHERE_CELLS, STACKED_CELLS, GoalInput, View
 from baggie.policies.regression import load_imagenet
 from baggie.types import Attempt
 
@@ -210,7 +210,7 @@ class KeypointRecipe(Recipe):
         }
         if labels.counted.any():
             pointed_at = numbers["cells"][:, 0] + rng.uniform(-_BESIDE_CELLS, _BESIDE_CELLS, (_BATCH, 2))
-            within = np.where(labels.counted[pick_from], POINTED_CELLS, ANYWHERE_CELLS)
+            within = np.where(labels.counted[pick_from], STACKED_CELLS, ANYWHERE_CELLS)
             numbers |= {
                 "near": np.column_stack([pointed_at, within]),
                 "layers": np.stack([labels.layers[pick_from, 0], labels.layers[place_from, 1]], axis=1),

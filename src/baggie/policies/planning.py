@@ -126,6 +126,8 @@ _VIEW_SCALE = 4
 """Heat maps are shown at a quarter of the picture's size."""
 POINTED_CELLS = 10.0
 """An object that is pointed at is looked for within so many cells: some 10 cm on a table, less than to the next bag."""
+STACKED_CELLS = 6.0
+"""The same in stacks, where bags lie side by side: less than half-way past the rim of the next."""
 ANYWHERE_CELLS = 1e4
 """More than there are."""
 LONG_RATIO = 1.25
@@ -224,10 +226,11 @@ def keypoint_plan(
     picture, goal = at_training_size(observation, goal, view.picture, camera_size)
     _check_view(view, goal.corners, "the goal", size)
     near = np.array([0.0, 0.0, ANYWHERE_CELLS], np.float32)
+    pointed_cells = STACKED_CELLS if knows_layers else POINTED_CELLS
     if goal.object_at is not None:
         _check_view(view, np.array([goal.object_at]), "the object pointed at", size)
         cell = apply_homography(np.linalg.inv(view.from_input() @ CELLS_TO_INPUT), [goal.object_at])[0]
-        near = np.array([*cell, POINTED_CELLS], np.float32)
+        near = np.array([*cell, pointed_cells], np.float32)
     image = goal_input.network_input(view.cut(picture), view.goal_to_input(goal))
     corners = apply_homography(view.normalize(), goal.corners).astype(np.float32)
     layers = np.array([goal.object_layer, goal.layer], np.float32)
@@ -238,7 +241,7 @@ def keypoint_plan(
         # Several bags that can be picked share the heat map; the one at its peak is as if it were pointed at.
         in_sight = 1 / np.square(heat).sum() < _SPREAD_OUT * heat.size
         v, u = np.unravel_index(heat.argmax(), heat.shape)
-        found = read(image[None], np.array([u, v, POINTED_CELLS], np.float32), corners, layers)
+        found = read(image[None], np.array([u, v, pointed_cells], np.float32), corners, layers)
     if not in_sight:
         raise BaggieError(
             f"no bag in sight: only {share:.0%} of the heat map is at its peak; put one into the workspace"

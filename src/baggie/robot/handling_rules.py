@@ -58,10 +58,9 @@ class Thing:
         height = self.size_m[2]
         above = {"approach_z_m": max(usual.approach_z_m, height + ABOVE_M)}
         if not self.hard:
-            # The hand pinches a soft thing, so it is opened as wide as always, and hardly to let go.
+            # The hand pinches a soft thing, so it opens as wide as always, to grasp and to let go.
             over = height + HANGS * max(self.size_m[:2]) + ABOVE_M
-            opened = {"release_width_m": max(usual.release_width_m, height + ROOM_M)}
-            return {**above, "travel_z_m": max(usual.travel_z_m, over), **opened}
+            return {**above, "travel_z_m": max(usual.travel_z_m, over)}
         grip_z = max(height / 2, height - FINGERS_M)
         spare_n = limits.max_contact_force_n - max(usual.touch_force_n, usual.land_force_n)
         return {

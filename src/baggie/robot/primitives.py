@@ -51,8 +51,8 @@ class Handling:
     """The lowest the tool goes to let go."""
     open_width_m: float = 0.08
     grasp_force_n: float = 10.0
-    release_width_m: float = 0.035
-    """How far the fingers open to let go, before they rise: further, they would drag the cloth along."""
+    release_width_m: float = 0.08
+    """How far the fingers open to let go, before they rise: cloth that they still touch then they drag along."""
     empty_width_m: float = 0.002
     """Fingers that close further than this hold nothing."""
     top_force_n: float = 0.7

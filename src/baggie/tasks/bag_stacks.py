@@ -22,8 +22,8 @@ WORKSPACE = Rectangle(0.29, 0.68, -0.36, 0.36)
 """Where bags are stacked: 3 by 4 bags side by side. The arm reaches all of it up to 35 cm above the table at any yaw,
 and the camera of every cell sees bags at its edge whole.
 """
-SPARE_STEPS = 3
-"""Picks and places of an episode, beside one a bag: for what has to be laid anew."""
+STEPS_A_BAG = 3
+"""Picks and places of an episode for each bag: some have to be laid anew. Ravens gives its six blocks twenty."""
 _SYMMETRY = 2
 """Half a turn comes to the same, and not a quarter, by which a bag looks the same, too: across a row the hand's fingers
 have to open, so that a bag bridges the gap below it.
@@ -148,7 +148,7 @@ def _task(pattern: Pattern, *, name: str, instruction: str, one_color: bool = Fa
         view="camera",
         things=colored_bags(len(pattern.slots), one_color),
         draw_scene=partial(_draw, pattern),
-        max_steps=len(pattern.slots) + SPARE_STEPS,
+        max_steps=STEPS_A_BAG * len(pattern.slots),
         object_symmetry=_SYMMETRY,
         pattern=pattern,
         workspace=WORKSPACE,
@@ -168,7 +168,7 @@ BAG_STACK = Task(
     view="camera",
     things=colored_bags(6),
     draw_scene=_lie_about,
-    max_steps=SPARE_STEPS,
+    max_steps=STEPS_A_BAG,
     object_symmetry=_SYMMETRY,
     has_goal=True,
     workspace=WORKSPACE,
