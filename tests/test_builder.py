@@ -121,27 +121,6 @@ def test_what_a_falling_bag_takes_along_is_laid_anew_too() -> None:
     assert max(off(cell, "tower:2")) < SMALL_M
 
 
-def test_a_bag_that_its_neighbour_pushed_aside_is_laid_anew_before_others_are_laid_on_it() -> None:
-    class Crowded(BagTable):
-        """The second bag pushes the first by 2 cm."""
-
-        def carry_out(self, plan):
-            first = next(
-                (n for n, (pose, _) in self.bags.items() if pose.distance(slots[0].pose) < 0.01), None
-            )
-            outcome = super().carry_out(plan)
-            if len(self.done) == 2:
-                assert first is not None
-                pose, layer = self.bags[first]
-                self.bags[first] = (replace(pose, x=pose.x - 0.02), layer)
-            return outcome
-
-    slots = Pattern.parse("pyramid:2-1").at(SITE).slots
-    cell = Crowded(LOOSE)
-    assert [step.slot for step in built(cell, "pyramid:2-1")] == [0, 1, 0, 2]
-    assert max(off(cell, "pyramid:2-1")) < SMALL_M
-
-
 def test_neither_a_missed_grasp_nor_a_bag_that_was_dropped_fills_a_slot() -> None:
     cell = BagTable(LOOSE, [(0.0, 0.0), "miss", "drop", (0.0, 0.0)])
     steps = built(cell, "tower:2")

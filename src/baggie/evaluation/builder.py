@@ -1,8 +1,7 @@
 """Patterns of bags, built step by step by a policy that takes goals: from pictures alone, in any workcell.
 
-After each placement the policy is asked where the bag lies that it has laid, and those beside it, which it may have
-pushed. What is laid on them goes there, not to where they should have been; before that, what lies too far from where
-it was to be is laid anew.
+After each placement the policy is asked where the bag lies that it has laid. What is laid on it goes there, not to
+where it should have been; before that, what lies too far from where it was to be is laid anew.
 """
 
 from __future__ import annotations
@@ -111,7 +110,6 @@ class Builder:
         laid, self._unseen = self._unseen, None
         if laid is not None:
             self._find(laid, self._aim(laid), seen, self._asked)
-            self._follow(seen, laid)
         slot = next(filter(self._wanting, range(len(self._pattern.slots))), None)
         if slot is None:
             return None
@@ -181,13 +179,6 @@ class Builder:
         for below in self._pattern.supports(slot):
             if below in self._lies and not self._carries(below):
                 self._find(below, self._lies[below], seen)
-
-    def _follow(self, seen: Observation, laid: int) -> None:
-        """Take note of where those lie now that nothing lies on: what was laid beside them may have pushed them."""
-        for slot, lies in self._lies.items():
-            if slot != laid and not self._carries(slot):
-                layer = self._pattern.slots[slot].layer
-                self._lies[slot] = self._seen_near(lies, layer, seen) or lies
 
     def _seen_near(self, expected: PlanarPose, layer: int, seen: Observation) -> PlanarPose | None:
         """Where the policy would pick a bag that is expected there; None where it sees none, or is unsure."""
