@@ -126,8 +126,8 @@ _VIEW_SCALE = 4
 """Heat maps are shown at a quarter of the picture's size."""
 POINTED_CELLS = 10.0
 """An object that is pointed at is looked for within so many cells: some 10 cm on a table, less than to the next bag."""
-STACKED_CELLS = 6.0
-"""The same in stacks, where bags lie side by side: less than half-way past the rim of the next."""
+STACKED_CELLS = 5.0
+"""The same in stacks, where half of a bag shows beside the one that lies on it."""
 ANYWHERE_CELLS = 1e4
 """More than there are."""
 LONG_RATIO = 1.25
