@@ -44,7 +44,7 @@ class Options:
     """Of the robot's own, to learn from and to validate on."""
     episodes: int = 100
     cell: int = 0
-    seed: int = 11
+    seed: int = 13
     """Of the test scenes; none of it was looked at."""
     recording: Path = Path("runs/recordings/stack-0")
     """Collected when it is not there."""
