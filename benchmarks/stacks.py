@@ -16,8 +16,6 @@ from typing import Any, Literal
 
 import tyro
 
-from baggie.data import open_dataset
-from baggie.data.summary import is_demonstration
 from commands import rate, read, run
 
 ROWS = {
@@ -76,6 +74,9 @@ def main(options: Options) -> None:
 
 def learned(options: Options, name: str) -> str:
     """The folder of a policy trained on what succeeded of the first attempts of a recording of the robot's own."""
+    from baggie.data import open_dataset  # noqa: PLC0415 -- workers import this file
+    from baggie.data.summary import is_demonstration  # noqa: PLC0415
+
     data, folder = options.recording, options.runs / name
     run(f"collect --task bag-stack --attempts {options.attempts} --seed 0 --cell {options.cell} --out {data}")
     recorded = open_dataset(data)

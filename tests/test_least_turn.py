@@ -20,9 +20,8 @@ from baggie.types import Outcome, PickPlace
 from baggie.workcell.workcell import WorkcellSettings
 from helpers.recording_arm import RecordingArm, TimelessCell
 
-SETTINGS = WorkcellSettings(
-    handling=Handling(release_width_m=0.05)
-)  # so that letting go is told from opening
+# Narrower than it opens, so that letting go is told from opening.
+SETTINGS = WorkcellSettings(handling=Handling(release_width_m=0.05))
 PICK, PLACE = PlanarPose(0.45, 0.12, 0.3), PlanarPose(0.55, -0.15)
 TURN = 2 * math.pi
 CLOSE_RAD = 0.02  # the least turn is found as exactly as an arm foresees turns

@@ -32,9 +32,8 @@ from baggie.workcell.workcell_file import read_workcell_file
 from helpers.recording_arm import RecordingArm, TimelessCell
 from helpers.synthetic import image_to_robot, to_pixels
 
-SETTINGS = WorkcellSettings(
-    handling=Handling(release_width_m=0.05)
-)  # so that letting go is told from opening
+# Narrower than it opens, so that letting go is told from opening.
+SETTINGS = WorkcellSettings(handling=Handling(release_width_m=0.05))
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
