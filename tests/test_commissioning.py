@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from baggie.calibration.camera_to_world import CameraToWorld
 from baggie.calibration.hand_eye.solve import HandEye
@@ -24,12 +25,13 @@ from baggie.commissioning.image_to_robot import (
     check_command,
     grid,
     marker_finder,
+    marker_middle,
     parse_marker,
     visit,
 )
 from baggie.commissioning.session import Person, ViewFolder, open_session
 from baggie.errors import BaggieError, CalibrationError, DataError
-from baggie.geometry import difference, invert_transform, transform_points
+from baggie.geometry import difference, invert_transform, rigid, transform_points
 from baggie.options.commissioning import CheckOptions, ImageToRobotOptions
 from baggie.options.values import BOARD, HAND_MARKER
 from baggie.pictures import read_picture, write_picture
@@ -260,8 +262,10 @@ def test_a_view_folder_keeps_what_it_was_given_and_refuses_another_beginning(tmp
 # -- targets, points, the world --------------------------------------------------------------------
 
 
-def test_a_marker_s_middle_is_where_its_diagonals_cross() -> None:
-    lens = Intrinsics(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5))
+@pytest.mark.parametrize("bent", [0.0, -0.2])
+def test_a_marker_s_middle_is_where_its_diagonals_cross_but_for_the_lens(bent: float) -> None:
+    matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    lens = Intrinsics(640, 480, matrix, np.array([bent, 0.0, 0.0, 0.0, 0.0]))
     marker = parse_target("aruco:DICT_4X4_50:0:0.10")
     assert isinstance(marker, ArucoMarker)
     rng = np.random.default_rng(1)
@@ -269,7 +273,20 @@ def test_a_marker_s_middle_is_where_its_diagonals_cross() -> None:
         pose = random_pose(marker, lens, rng, near=0.3)
         found = marker_finder(marker)(render_board(marker, pose, lens, rng))
         assert found is not None
-        assert np.linalg.norm(found - lens.project(pose[None, :3, 3])[0]) < 0.3
+        middle = lens.project(pose[None, :3, 3])[0]
+        assert np.linalg.norm(marker_middle(found, lens) - middle) < 0.3
+
+
+def test_where_a_marker_s_middle_appears_is_exact_in_every_perspective_and_lens() -> None:
+    matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    bent = Intrinsics(640, 480, matrix, np.array([-0.3, 0.1, 0.001, -0.002]))
+    corners = 0.04 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    pose = rigid(Rotation.from_euler("xyz", [0.4, -0.3, 0.5]).as_matrix(), [0.2, 0.1, 0.6])
+    middle = bent.project(pose[None, :3, 3])[0]
+    seen = bent.project(transform_points(pose, corners))
+    np.testing.assert_allclose(marker_middle(seen, bent), middle, atol=1e-6)
+    assert np.linalg.norm(marker_middle(seen) - middle) > 0.05  # bent lines cross elsewhere
+    np.testing.assert_array_equal(marker_middle(middle[None], bent), middle)  # a blob's is as it was found
 
 
 def test_the_marker_is_brought_to_where_it_is_wanted() -> None:

@@ -17,7 +17,7 @@ from baggie.geometry import (
     rigid,
     transform_points,
 )
-from baggie.robot.arm import LedArm
+from baggie.robot.arm import LedArm, hand_pose
 from baggie.robot.franka.models import HOME
 from baggie.robot.kinematics import Kinematics
 from baggie.robot.limits import GuardedArm
@@ -134,6 +134,18 @@ def test_the_plate_is_where_the_hand_holds_it(clear: SimulatedWorkcell) -> None:
         seen.append(off_px(clear, MARKER, clear.arm.hand_pose() @ T_hand_target))
     assert rms(np.concatenate(seen)) < 0.4  # OpenCV finds a marker's corners a quarter pixel too far out
     assert np.linalg.norm(np.concatenate(seen).mean(axis=0)) < 0.05
+
+
+def test_a_hand_that_moves_is_seen_where_its_joints_say(clear: SimulatedWorkcell) -> None:
+    clear.lead_hand(rigid(hand_matrix(ToolPose(0.45, -0.1, 0.2, 0.0))[:3, :3], [0.45, -0.1, 0.2]))
+    T_hand_target = clear.hold_target(MARKER)
+    turned = clear.world.joints + [0.4, 0, 0, 0, 0, 0, 0]
+    clear.world.set_joints(turned, np.zeros(7))
+    clear.world.advance(0.1)
+    speed_m_s = 0.58 * clear.world.joint_velocities[0]
+    assert speed_m_s > 0.5  # four millimetres a step
+    assert off_px(clear, MARKER, hand_pose(clear.arm) @ T_hand_target).max() < 0.3
+    clear.hold_target(None)
 
 
 def test_what_was_hidden_leaves_no_trace(cell: SimulatedWorkcell) -> None:

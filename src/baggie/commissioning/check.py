@@ -13,7 +13,7 @@ from baggie import seeds
 from baggie.calibration.files import REFERENCE_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot, compare_maps
 from baggie.calibration.image_to_robot.residuals import draw_comparison
-from baggie.commissioning.image_to_robot import marker_finder, parse_marker, visit
+from baggie.commissioning.image_to_robot import marker_finder, marker_middle, parse_marker, visit
 from baggie.commissioning.session import Session, open_session
 from baggie.errors import BaggieError, CalibrationError
 from baggie.files import write_if_possible
@@ -79,11 +79,11 @@ def _held_out(session: Session, image_to_robot: ImageToRobot, options: CheckOpti
     )
     errors = []
     for number, hand, observation in visit(cell.arm, session.camera, positions, in_hand):
-        pixel = find(observation.color)
-        if pixel is not None:
+        found = find(observation.color)
+        if found is not None:
             base = transform_points(hand, in_hand[None])[0]
             at = image_to_robot.at_height(base[2]) if image_to_robot.height_aware else image_to_robot
-            error = at.to_robot(pixel)[0] - base[:2]
+            error = at.to_robot(marker_middle(found, at.lens))[0] - base[:2]
             errors.append(error)
             session.say(f"point {number + 1} of {len(positions)}: {1000 * np.linalg.norm(error):.1f} mm off")
     session.assistant.put_away()
@@ -111,11 +111,11 @@ def _touches(session: Session, image_to_robot: ImageToRobot, options: CheckOptio
         session.assistant.lay(
             marker, f"touch {number + 1} of {options.touches}: lay the marker somewhere in the workspace"
         )
-        pixel = find(session.look().color)
-        if pixel is None:
+        found = find(session.look().color)
+        if found is None:
             session.say("the marker on the table is not seen")
             continue
-        x, y = on_table.to_robot(pixel)[0]
+        x, y = on_table.to_robot(marker_middle(found, on_table.lens))[0]
         cell.arm.move_to(ToolPose(x, y, _HOVER_M), speed)
         cell.arm.move_to(ToolPose(x, y, _TOUCH_Z_M), speed)
         error = session.assistant.measure_touch("the fingertips are where the marker's middle should be")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder
+from baggie.commissioning.image_to_robot import Find, color_finder, marker_finder, marker_middle
 from baggie.commissioning.session import Helper
 from baggie.errors import ArmError, BaggieError, CameraError, ReachError
 from baggie.geometry import FloatArray, PlanarPose, rotation
@@ -248,8 +248,10 @@ def see_tool_x(cell: Workcell, find: Find, high_z_m: float) -> float | None:
             pose = cell.arm.move_to(target, cell.arm.at_most(_SPEED_M_S))
         except ReachError:
             return []
-        pixel = find(cell.camera.look().color)
-        return [] if pixel is None else [np.array([*(pose.planar.xy - middle), pose.yaw, *pixel])]
+        found = find(cell.camera.look().color)
+        if found is None:
+            return []
+        return [np.array([*(pose.planar.xy - middle), pose.yaw, *marker_middle(found)])]
 
     for yaw in FIRST_YAWS:
         moved = look_from(0.0, 0.0, yaw)

@@ -31,7 +31,7 @@ from baggie.options.values import Point
 from baggie.pictures import read_picture, write_picture
 from baggie.robot.arm import Arm, hand_pose
 from baggie.robot.limits import MARGIN_M, Limits
-from baggie.types import Image, Observation
+from baggie.types import Image, Intrinsics, Observation
 from baggie.vision.color_mask import find_bag
 from baggie.vision.targets import ArucoMarker, TargetDetection, parse_target
 from baggie.workcell.workcell import Workcell, at_outline
@@ -41,7 +41,7 @@ YAW_RAD = 0.35
 _SPEED_M_S = 0.5
 
 Find = Callable[[Image], FloatArray | None]
-"""Where a marker's middle is in a picture: `(2,)` pixels, None where it is not seen."""
+"""Where a picture shows a marker, pixels: its corners `(4, 2)`, or the middle of a blob `(1, 2)`; None for nowhere."""
 
 
 def grid(
@@ -80,23 +80,33 @@ def color_finder(color: tuple[int, int, int]) -> Find:
 
     def find(image: Image) -> FloatArray | None:
         seen = find_bag(image, color)
-        return None if seen is None else seen.center
+        return None if seen is None else seen.center[None]
 
     return find
 
 
 def marker_finder(marker: ArucoMarker) -> Find:
-    """Finds an ArUco marker: where its diagonals cross, which is its middle in every perspective."""
+    """Finds an ArUco marker by its corners."""
 
     def find(image: Image) -> FloatArray | None:
         seen = marker.detect(image)
-        if seen is None:
-            return None
-        a, b, c, d = np.c_[seen.pixels, np.ones(4)]
-        crossing = np.cross(np.cross(a, c), np.cross(b, d))
-        return np.asarray(crossing[:2] / crossing[2])
+        return None if seen is None else seen.pixels
 
     return find
+
+
+def marker_middle(found: FloatArray, lens: Intrinsics | None = None) -> FloatArray:
+    """Where the middle of a marker appears that was found at `(4, 2)` or `(1, 2)` pixels: `(2,)` pixels.
+
+    Its diagonals cross there, in every perspective. Where a lens bends them they do not: in the simulator's cells they
+    cross a tenth of a pixel further out at the picture's edge, so the lens is undone where it is known.
+    """
+    if len(found) == 1:
+        return np.asarray(found[0])
+    a, b, c, d = np.c_[found if lens is None else lens.rays(found), np.ones(4)]
+    crossing = np.cross(np.cross(a, c), np.cross(b, d))
+    crossing = crossing / crossing[2]
+    return np.asarray(crossing[:2] if lens is None else lens.project(crossing)[0])
 
 
 def parse_marker(spec: str) -> tuple[Find, ArucoMarker | None]:
@@ -177,17 +187,13 @@ def calibrate_image_to_robot_live(session: Session, options: ImageToRobotOptions
     try:
         with progress(session.operator, "driving over the workspace", len(wanted), len(visited)) as advance:
             for number, hand, observation in visit(cell.arm, session.camera, wanted[missing], in_hand):
-                pixel = find(observation.color)
+                found = find(observation.color)
                 words = f"point {missing[number] + 1} of {len(wanted)}: " + (
-                    "no marker" if pixel is None else "found"
+                    "no marker" if found is None else "found"
                 )
-                session.show(folder.folder, observation.color, _as_seen(pixel), words)
-                if pixel is not None:
-                    view = {
-                        "point": int(missing[number]),
-                        "T_base_hand": hand.tolist(),
-                        "pixel": pixel.tolist(),
-                    }
+                session.show(folder.folder, observation.color, _as_seen(found), words)
+                if found is not None:
+                    view = {"point": int(missing[number]), "T_base_hand": hand.tolist(), **_seen_at(found)}
                     folder.append(view, observation.color)
                 advance()
     except KeyboardInterrupt:
@@ -205,8 +211,16 @@ def _within_reach(positions: FloatArray, marker_in_hand: FloatArray, limits: Lim
     return np.column_stack([np.maximum(positions[:, 0], nearest), positions[:, 1:]])
 
 
-def _as_seen(pixel: FloatArray | None) -> TargetDetection | None:
-    return None if pixel is None else TargetDetection(np.zeros(1, np.int64), pixel[None], np.zeros((1, 3)))
+def _as_seen(found: FloatArray | None) -> TargetDetection | None:
+    if found is None:
+        return None
+    return TargetDetection(np.zeros(1, np.int64), marker_middle(found)[None], np.zeros((1, 3)))
+
+
+def _seen_at(found: FloatArray) -> dict[str, Any]:
+    """What a view says of a marker that was found: its middle as if the lens were none, and its corners."""
+    corners = {"corners": found.tolist()} if len(found) == 4 else {}
+    return {"pixel": marker_middle(found).tolist(), **corners}
 
 
 def _fit_folder(folder: Path, options: ImageToRobotOptions) -> ImageToRobot:
@@ -224,8 +238,8 @@ def _found(view: dict[str, Any], folder: Path, find: Find, camera: CameraIdentit
     picture = read_picture(folder / str(view.get("image")))
     height, width = picture.shape[:2]
     camera.check(CameraIdentity(camera.name, width, height), f"the recording {folder}")
-    pixel = find(picture)
-    return {} if pixel is None else {**view, "pixel": pixel.tolist()}
+    found = find(picture)
+    return {} if found is None else {**view, **_seen_at(found)}
 
 
 def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRobotOptions) -> ImageToRobot:
@@ -235,7 +249,7 @@ def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRo
             "camera and is not covered by the hand"
         )
     try:
-        pixels = np.array([view["pixel"] for view in views], float).reshape(-1, 2)
+        found = [np.array(view.get("corners", [view["pixel"]]), float).reshape(-1, 2) for view in views]
         hands = np.array([view["T_base_hand"] for view in views if "T_base_hand" in view], float).reshape(
             -1, 4, 4
         )
@@ -245,18 +259,23 @@ def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRo
             f"expected views with T_base_hand (or base) and pixel (or image), got {error!r}"
         ) from None
     lens = None if options.intrinsics is None else CameraCalibration.load(options.intrinsics, camera)
-    fit = partial(
-        ImageToRobot.fit,
-        pixels,
-        camera=camera,
-        intrinsics=lens.intrinsics if lens else None,
-        intrinsics_covariance=lens.covariance if lens else None,
-    )
+    known = lens.intrinsics if lens else None
+
+    def fit(robot: FloatArray, seen_through: Intrinsics | None = known, **how: Any) -> ImageToRobot:
+        pixels = np.array([marker_middle(each, seen_through) for each in found])
+        covariance = lens.covariance if lens else None
+        return ImageToRobot.fit(
+            pixels, robot, camera, intrinsics=known, intrinsics_covariance=covariance, **how
+        )
+
     if len(hands) == len(views):
         check_marker_offset(
             lambda robot: fit(robot, limit_mm=np.inf), hands, np.array(options.marker_in_hand)
         )
-    fitted = fit(robot, limit_mm=options.limit_mm, pictures=[str(view.get("image", "")) for view in views])
+    fit = partial(fit, limit_mm=options.limit_mm, pictures=[str(view.get("image", "")) for view in views])
+    fitted = fit(robot)
+    if known is None and any(len(each) == 4 for each in found):
+        fitted = fit(robot, fitted.lens)  # now that the lens is known well enough to tell where middles are
     return fitted.at_height(options.map_height) if fitted.height_aware else fitted
 
 
@@ -307,9 +326,9 @@ def calibrate(cell: Workcell, seed: int) -> ImageToRobot:
     pixels, robot = [], []
     try:
         for _, T_base_hand, observation in visit(cell.arm, camera, places, in_hand):
-            pixel = find(observation.color)
-            if pixel is not None:
-                pixels.append(pixel)
+            found = find(observation.color)
+            if found is not None:
+                pixels.append(marker_middle(found))
                 robot.append(transform_points(T_base_hand, in_hand)[0])
     finally:
         cell.show_paddle(False)
