@@ -1,5 +1,6 @@
 """The tasks that stack bags: their scenes, and stacks in the simulator."""
 
+from contextlib import closing
 from itertools import combinations
 
 import cv2
@@ -16,7 +17,9 @@ from baggie.robot.limits import WORKSPACE as USUAL
 from baggie.sim.bag import SoftBody
 from baggie.sim.cell import draw_cell, hue_distance, hue_of
 from baggie.sim.scene import arm_spec
+from baggie.sim.variety import UNSEEN_HUES
 from baggie.tasks.bag_stacks import WORKSPACE, colored_bags, lay_about
+from baggie.tasks.bag_stacks import stacking as stacking_of
 from baggie.tasks.conditions import strict_success
 from baggie.tasks.pattern import Pattern
 from baggie.tasks.task import Setting, Task
@@ -91,6 +94,71 @@ def test_a_workspace_without_room_is_one_line() -> None:
     pattern, rng = Pattern.parse("layers:2x2,2x2 turned"), np.random.default_rng(0)
     with pytest.raises(BaggieError, match=r"room for 8 bags of 12 cm beside their pattern, got x 0\.35"):
         lay_about(colored_bags(8), pattern, USUAL, rng)
+
+
+@pytest.mark.parametrize("name", ["bag-tower", "bag-layers"])
+def test_unseen_bags_are_square_of_one_unseen_size_and_of_unseen_hues_apart(name: str) -> None:
+    task = TASKS[name]
+    count = len(task.things)
+    for seed in range(40):
+        setting = Setting(
+            task.things, workspace=Rectangle(0.2, 0.8, -0.6, 0.6), scenery="unseen-bag", seed=(seed,)
+        )
+        bags = task.draw(np.random.default_rng(seed), setting).things
+        (size,) = {(bag.length_m, bag.width_m, bag.fill) for bag in bags}
+        assert size[0] == size[1]
+        assert any(low <= size[0] <= high for low, high in ((0.095, 0.105), (0.13, 0.145)))
+        assert [bag.name for bag in bags] == [bag.name for bag in task.things]
+        hues = [hue_of(bag.color) for bag in bags]
+        assert all(any(low - 1 <= hue <= high + 1 for low, high in UNSEEN_HUES) for hue in hues)
+        assert len({*hues}) == count
+        if count <= 4:
+            assert min(hue_distance(a, b) for a, b in combinations(hues, 2)) > 30
+    one = colored_bags(3, one_color=True)
+    setting = Setting(one, workspace=WORKSPACE, scenery="unseen-bag")
+    assert len({bag.color for bag in TASKS["bag-tower"].draw(np.random.default_rng(0), setting).things}) == 1
+
+
+def test_stacks_are_drawn_as_ever_in_other_light_and_refused_among_other_things() -> None:
+    task = TASKS["bag-tower"]
+    plain, light = (
+        task.draw(np.random.default_rng(3), Setting(task.things, workspace=WORKSPACE, scenery=scenery))
+        for scenery in ("plain", "light")
+    )
+    assert (plain.things, plain.poses) == (light.things, light.poses)
+    assert light.variety.exposure != plain.variety.exposure
+    with pytest.raises(BaggieError, match="plain, light, unseen-bag for stacks of bags, got 'varied'"):
+        task.draw(np.random.default_rng(3), Setting(task.things, workspace=WORKSPACE, scenery="varied"))
+
+
+def test_settings_say_what_the_bags_of_a_scene_are() -> None:
+    with closing(SimulatedWorkcell(0, TASKS["bag-stack"], scenery="unseen-bag", pictures=False)) as opened:
+        opened.reset((8800, 1))
+        bags = opened.scene.things
+        assert opened.settings.object_colors == tuple(bag.color for bag in bags)
+        assert opened.settings.object_size_m == bags[0].size_m != TASKS["bag-stack"].things[0].size_m
+        assert opened.settings.object_symmetry == 2
+
+
+def test_a_stack_that_is_to_be_taken_apart_stands_beside_free_places() -> None:
+    task = TASKS["bag-unstack"]
+    with closing(SimulatedWorkcell(0, task, pictures=False)) as opened:
+        for number in range(3):
+            opened.reset((8800, number))
+            (unstacked,), state = opened.scene.conditions, opened.state()
+            heights = [state.poses[bag][2, 3] for bag in unstacked.bags]
+            assert heights == sorted(heights)
+            assert heights[-1] > 0.04  # on two others
+            for bag, slot in zip(unstacked.bags, unstacked.standing.slots, strict=True):
+                assert state.places[bag].distance(slot.pose) < 0.02
+            assert unstacked.share(state) == 0.0
+            gaps = [place.distance(unstacked.standing.slots[0].pose) for place in unstacked.places]
+            assert min(gaps) > BAG_M
+        stood = opened.scene
+        opened.reset((8800, 2))
+        assert (opened.scene.starts.keys(), opened.scene.poses) == (stood.starts.keys(), stood.poses)
+    with pytest.raises(BaggieError, match="more than one layer to take apart"):
+        stacking_of(task, Pattern.parse("layers:2x2")).draw(np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from baggie.errors import BaggieError
 from baggie.evaluation.builder import MOST_ANEW, Builder, Care, build
 from baggie.geometry import PlanarPose
-from baggie.tasks.pattern import LAYER_M, Pattern
+from baggie.tasks.pattern import LAYER_M, Pattern, PatternSlot
 from baggie.types import Outcome
 from helpers.seen_bags import AREA, BagTable, Eye
 
@@ -166,6 +166,18 @@ def test_a_person_may_say_which_bag_is_next() -> None:
     assert [step.slot for step in steps] == [0, 1, 1]
     picked = [LOOSE[5], LOOSE[2]]
     assert all(action.pick.distance(pose) < SMALL_M for action, pose in zip(cell.done, picked, strict=False))
+
+
+def test_what_stands_is_taken_apart_from_above() -> None:
+    cell = BagTable([])
+    standing = Pattern.parse("pyramid:2-1").at(SITE)
+    cell.bags = {name: (slot.pose, slot.layer) for name, slot in enumerate(standing.slots)}
+    free = Pattern((PatternSlot(PlanarPose(0.4, -0.2), 0),))
+    steps = list(build(cell, Eye(cell), free, PlanarPose(0.0, 0.0), standing=standing))
+    (action,) = cell.done
+    assert [step.slot for step in steps] == [0]
+    assert action.pick.distance(standing.slots[-1].pose) < SMALL_M
+    assert (action.pick_on_m, action.place_on_m, action.tallest_m) == (LAYER_M, 0.0, 2 * LAYER_M)
 
 
 def test_where_no_bag_is_left_one_line_says_so() -> None:

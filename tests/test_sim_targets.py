@@ -139,7 +139,7 @@ def test_the_plate_is_where_the_hand_holds_it(clear: SimulatedWorkcell) -> None:
 def test_a_hand_that_moves_is_seen_where_its_joints_say(clear: SimulatedWorkcell) -> None:
     clear.lead_hand(rigid(hand_matrix(ToolPose(0.45, -0.1, 0.2, 0.0))[:3, :3], [0.45, -0.1, 0.2]))
     T_hand_target = clear.hold_target(MARKER)
-    turned = clear.world.joints + [0.4, 0, 0, 0, 0, 0, 0]
+    turned = clear.world.joints + 0.4 * np.eye(7)[0]
     clear.world.set_joints(turned, np.zeros(7))
     clear.world.advance(0.1)
     speed_m_s = 0.58 * clear.world.joint_velocities[0]

@@ -17,7 +17,7 @@ HEIGHTS = (0.009, 0.030, 0.054)
 TOWER = Stacked(BAGS, Pattern.parse("tower:3").at(SITE), WORKSPACE)
 PYRAMID = Stacked(tuple("abcdef"), Pattern.parse("pyramid:3-2-1").at(SITE), WORKSPACE)
 FREE = (PlanarPose(0.6, 0.25), PlanarPose(0.6, -0.2))
-APART = Unstacked(BAGS, SITE, FREE, WORKSPACE)
+APART = Unstacked(BAGS, TOWER.pattern, FREE, WORKSPACE)
 
 
 def beside(pose: PlanarPose, off_m: float, towards: float = 0.0) -> PlanarPose:

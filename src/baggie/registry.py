@@ -170,6 +170,7 @@ TASKS: Registry[Task] = Registry(
         "bag-tower": "baggie.tasks.bag_stacks:BAG_TOWER",
         "bag-pyramid": "baggie.tasks.bag_stacks:BAG_PYRAMID",
         "bag-layers": "baggie.tasks.bag_stacks:BAG_LAYERS",
+        "bag-unstack": "baggie.tasks.bag_stacks:BAG_UNSTACK",
         "block-pyramid": "baggie.tasks.block_pyramid:BLOCK_PYRAMID",
         "place-red-in-green": "baggie.tasks.place_red_in_green:PLACE_RED_IN_GREEN",
         "align-box-corner": "baggie.tasks.align_box_corner:ALIGN_BOX_CORNER",

@@ -17,7 +17,7 @@ import numpy as np
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose
 from baggie.policies.memory import Planner
-from baggie.tasks.pattern import Pattern
+from baggie.tasks.pattern import Pattern, PatternSlot
 from baggie.tasks.stacked import LAID_ANEW_M
 from baggie.types import LAYER_M, Goal, Observation, Outcome, Plan
 from baggie.vision.draw import region_mask
@@ -81,8 +81,15 @@ class Builder:
     First `look` at a picture, then `plan` for the goal, then `note` what came of it; `build` does so.
     """
 
-    def __init__(self, cell: Workcell, policy: Planner, pattern: Pattern, care: Care | None = None) -> None:
-        """`pattern`: in the robot's base frame.
+    def __init__(
+        self,
+        cell: Workcell,
+        policy: Planner,
+        pattern: Pattern,
+        care: Care | None = None,
+        standing: Pattern | None = None,
+    ) -> None:
+        """`pattern`: in the robot's base frame, as `standing` is, what stands there and is taken apart for it.
 
         Raises `BaggieError` where it leaves the workspace, or a layer is higher than the cell can tell in a picture.
         """
@@ -90,6 +97,7 @@ class Builder:
         top = pattern.slots[-1]
         cell.outline(top.pose, top.layer)
         self._cell, self._policy, self._pattern, self._care = cell, policy, pattern, care or Care()
+        self._standing = standing
         self._lies: dict[int, PlanarPose] = {}
         self._laid_anew: Counter[int] = Counter()
         self._unseen: int | None = None
@@ -115,9 +123,12 @@ class Builder:
             return None
         self.slot, layer = slot, self._pattern.slots[slot].layer
         region, lies = self._cell.outline(self._aim(slot), layer), self._lies.get(slot)
-        if lies is None:
+        if lies is not None:
+            return Goal(region, layer=layer, object_at=self._pixel(lies, layer), object_layer=layer)
+        if self._standing is None:
             return Goal(region, layer=layer)
-        return Goal(region, layer=layer, object_at=self._pixel(lies, layer), object_layer=layer)
+        top = self._still_standing[-1]  # nothing lies on the last that was built
+        return Goal(region, layer=layer, object_at=self._pixel(top.pose, top.layer), object_layer=top.layer)
 
     def plan(self, observation: Observation, goal: Goal | None = None) -> Plan:
         """The policy's plan for the goal that `look` said, a bag chosen by its heat map unless somebody clicked on one.
@@ -134,7 +145,8 @@ class Builder:
         if new and any(plan.action.pick.distance(pose) < half for pose in self._lies.values()):
             raise self._no_bag()
         self._asked = _Asked(observation, goal)
-        tallest = 1 + max((self._pattern.slots[slot].layer for slot in self._lies), default=-1)
+        built = [self._pattern.slots[slot].layer for slot in self._lies]
+        tallest = 1 + max([*built, *(each.layer for each in self._still_standing)], default=-1)
         return replace(plan, action=replace(plan.action, tallest_m=tallest * LAYER_M))
 
     def note(self, outcome: Outcome | None) -> None:
@@ -145,6 +157,13 @@ class Builder:
             return
         # Fingers that held a thin fold seem empty at the end: where it is seen to lie tells whether it was dropped.
         self._unseen = self.slot
+
+    @property
+    def _still_standing(self) -> tuple[PatternSlot, ...]:
+        """What has not been taken yet of what stood, in the order of building."""
+        if self._standing is None:
+            return ()
+        return self._standing.slots[: len(self._standing.slots) - len(self._lies)]
 
     def _wanting(self, slot: int) -> bool:
         """Whether a slot is open, or its bag is to be laid anew."""
@@ -246,6 +265,7 @@ def build(
     pattern: Pattern,
     site: PlanarPose,
     *,
+    standing: Pattern | None = None,
     care: Care | None = None,
     click: Click | None = None,
 ) -> Iterator[BuildStep]:
@@ -254,10 +274,11 @@ def build(
     for step in build(cell, policy, Pattern.parse("pyramid:3-2-1"), PlanarPose(0.5, 0.1)):
         print(step.slot, step.outcome.failure)
 
-    `click` is asked for each new bag; unless given the policy chooses. Raises `BaggieError` where the pattern leaves
-    the workspace, the policy finds no bag or is unsure, or the arm does not reach; called again it begins anew.
+    `standing`, robot base frame, is taken apart for it, from above. Else `click` is asked for each new bag; unless
+    given the policy chooses. Raises `BaggieError` where the pattern leaves the workspace, the policy finds no bag or is
+    unsure, or the arm does not reach; called again it begins anew.
     """
-    builder = Builder(cell, policy, pattern.at(site), care)
+    builder = Builder(cell, policy, pattern.at(site), care, standing)
     while (goal := builder.look(seen := cell.look())) is not None:
         if click is not None and goal.object_at is None:
             goal = replace(goal, object_at=click(seen, goal))

@@ -32,7 +32,7 @@ from baggie.policies.memory import Planner, remembering
 from baggie.registry import TASKS
 from baggie.seeds import EVALUATION, first_fit
 from baggie.tasks.conditions import Score, strict_success
-from baggie.tasks.stacked import Stacked
+from baggie.tasks.stacked import Stacked, Unstacked
 from baggie.types import Goal, Observation, Outcome, Plan
 from baggie.vision.draw import check_goal
 from baggie.vision.goal_card import find_card
@@ -214,11 +214,14 @@ class ByConditions:
         self._conditions = self._cell.scene.conditions
         self._score = Score(self._conditions)
         self.most_steps = task_of(options).max_steps
-        self._stacked = next((each for each in self._conditions if isinstance(each, Stacked)), None)
+        self._stacked = next((e for e in self._conditions if isinstance(e, Stacked | Unstacked)), None)
         self._builder: Builder | None = None
         self.planner: Planner = remembering(setup.policy)
         if self._stacked is not None and getattr(setup.policy, "wants_goal", False):
-            self.planner = self._builder = Builder(self._cell, setup.policy, self._stacked.pattern)
+            standing = self._stacked.standing if isinstance(self._stacked, Unstacked) else None
+            self.planner = self._builder = Builder(
+                self._cell, setup.policy, self._stacked.pattern, standing=standing
+            )
         self._steps = 0
         self._gave_up = self._strict = False
         self._last: Trial | None = None
@@ -269,7 +272,7 @@ class ByConditions:
     def _slots(self) -> tuple[tuple[bool, ...], tuple[tuple[float | None, ...], ...]]:
         """Of a pattern, which layers are right, and how far from each slot its bag is, layer by layer; else nothing."""
         state = self._cell.state()
-        if self._stacked is None or state is None:
+        if not isinstance(self._stacked, Stacked) or state is None:
             return (), ()
         off = [None if m is None else 100 * m for m in self._stacked.offsets_m(state)]
         layers = tuple(tuple(off[slot] for slot in layer) for layer in self._stacked.pattern.layers)

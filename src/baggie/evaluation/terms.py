@@ -36,6 +36,7 @@ class Terms:
     one_color: bool | None = None
     """Whether all of them are of one colour; None where each has its own."""
     scenery: Scenery | None = None
+    """How much of a scene varies; None where nothing can, and where stacked bags are the usual ones."""
     workcell_says: str | None = None
     """A fingerprint of what the file says."""
     goal: GoalKind | None = None
@@ -57,6 +58,7 @@ class Terms:
                 **where,
                 pattern=_pattern(options),
                 one_color=options.one_color or None,
+                scenery=None if options.scenery == "plain" else options.scenery,
                 calibration=fingerprint_of(*_maps(options)) or "none given" if by_color else None,
             )
         if options.workcell is not None:

@@ -81,8 +81,8 @@ class EvaluateOptions(Options):
     they come; its map from the picture to the robot says where objects end.
     """
     scenery: Scenery = "plain"
-    """Where a goal is given in the picture: the cell as it is; other light; what a varied collection shows; a bag, or
-    all of a scene, that none ever shows; or a second bag.
+    """With bags: the cell as it is; other light; what a varied collection shows; a bag, or all of a scene, that none
+    ever shows; or a second bag. Where bags are stacked: plain, light or unseen-bag.
     """
     goal: GoalKind = "virtual"
     """How a goal is given in the picture: marked square to the workspace; at any angle; or by a real green card that
@@ -152,7 +152,8 @@ class EvaluateOptions(Options):
 
     def _check_without_goal(self, stacks: bool) -> None:
         by_color = stacks and self.policy == COLOR_MASK
-        self._refuse(_WITH_GOAL if by_color else (*_WITH_GOAL, "calibration"), instead=USUAL_TASK)
+        others = [name for name in _WITH_GOAL if name != "scenery" or not stacks]
+        self._refuse(others if by_color else [*others, "calibration"], instead=USUAL_TASK)
         if self.policy == COLOR_MASK and not stacks:
             raise UsageError(
                 f"expected a policy that knows the task with --task {self.task}, got {self.policy}, which takes a bag "

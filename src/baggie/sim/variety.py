@@ -351,6 +351,18 @@ def _draw_bag(bags: _BagRange, rng: np.random.Generator) -> Bag:
     )
 
 
+def unseen_colors(count: int, rng: np.random.Generator) -> tuple[Color, ...]:
+    """Draw so many colours of unseen hues: four in a row are of a band each, the next four of its other half."""
+    bands, half = rng.permutation(np.array(UNSEEN_HUES)).tolist(), int(rng.integers(2))
+    drawn = []
+    for number in range(count):
+        low, high = bands[number % len(bands)]
+        width = (high - low) / 2
+        start = low + width * ((number // len(bands) + half) % 2)
+        drawn.append(_cloth_color(float(rng.uniform(start, start + width)), rng))
+    return tuple(drawn)
+
+
 def _cloth_color(hue: float, rng: np.random.Generator) -> Color:
     """A dyed cloth of this hue, degrees: never so dark or so pale that the hue is not clear."""
     return rgb(hue, rng.uniform(0.74, 0.9), rng.uniform(0.6, 0.85))

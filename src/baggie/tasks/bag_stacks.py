@@ -1,9 +1,13 @@
-"""Loose bags are stacked in a pattern at a site: `bag-tower`, `bag-pyramid` and `bag-layers`; at will: `bag-stack`."""
+"""Loose bags are stacked in a pattern at a site: `bag-tower`, `bag-pyramid` and `bag-layers`; at will: `bag-stack`.
+
+In `bag-unstack` a stack stands there at first, and is taken apart.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -11,11 +15,13 @@ import numpy as np
 
 from baggie.errors import BaggieError
 from baggie.geometry import FloatArray, PlanarPose, Rectangle
+from baggie.options.values import Scenery
 from baggie.seeds import first_fit
 from baggie.sim.bag import Bag
 from baggie.sim.cell import Color, rgb
-from baggie.tasks.pattern import Pattern
-from baggie.tasks.stacked import Stacked
+from baggie.sim.variety import Variety, draw_variety, unseen_colors
+from baggie.tasks.pattern import PITCH_M, Pattern
+from baggie.tasks.stacked import Stacked, Unstacked
 from baggie.tasks.task import Scene, Setting, Task
 
 WORKSPACE = Rectangle(0.29, 0.68, -0.36, 0.36)
@@ -30,8 +36,16 @@ have to open, so that a bag bridges the gap below it.
 """
 _HUES = (358, 50, 210, 272, 90, 175, 25, 240)
 """Degrees: of bags by their number, well apart and none of them the goal card's or the paddle's."""
+_SCENERIES: tuple[Scenery, ...] = ("plain", "light", "unseen-bag")
+"""Those with nothing but bags on the table."""
 _SITE_GAP_M, _GAP_M = 0.02, 0.004
 """Between a pattern and what lies about it, and between two loose bags."""
+_ASKEW_M = 0.003
+"""How far from their slots bags of a stack are laid that is to be taken apart; once settled the top is 1 cm off."""
+_TURNED_RAD = math.radians(4.0)
+_LOWEST_M, _RISE_M = 0.017, 0.034
+"""How high the middle of the lowest bag is before it has settled, and how much higher each other one's."""
+_APART = "bag-unstack"
 _TRIES = 200
 
 
@@ -127,8 +141,31 @@ def _within(cell: Rectangle, bag: Bag, rng: np.random.Generator) -> PlanarPose:
     return PlanarPose(float(x), float(y), yaw)
 
 
+def _bags(rng: np.random.Generator, setting: Setting) -> tuple[tuple[Bag, ...], Variety]:
+    """The bags of a scene, square and of one size, as its scenery has them, and what else that changes.
+
+    Raises `BaggieError` for a scenery in which other things stand about, for which stacks leave no room.
+    """
+    usual = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    if setting.scenery not in _SCENERIES:
+        raise BaggieError(
+            f"expected one of the sceneries {', '.join(_SCENERIES)} for stacks of bags, got {setting.scenery!r}; in "
+            "others things lie about where bags are stacked"
+        )
+    variety = draw_variety(setting.scenery, setting.cell, usual[0], setting.workspace, setting.seed)
+    if variety.bag == usual[0]:
+        return usual, variety
+    side = math.sqrt(variety.bag.length_m * variety.bag.width_m)
+    like = replace(variety.bag, length_m=side, width_m=side, shape="square")
+    one_color = len({bag.color for bag in usual}) == 1
+    colors = [like.color] * len(usual) if one_color else unseen_colors(len(usual), rng)
+    return tuple(
+        replace(like, name=bag.name, color=color) for bag, color in zip(usual, colors, strict=True)
+    ), variety
+
+
 def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene:
-    bags = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    bags, variety = _bags(rng, setting)
     poses, site = lay_about(bags, pattern, setting.workspace, rng)
     stacked = Stacked(
         tuple(bag.name for bag in bags),
@@ -137,7 +174,7 @@ def _draw(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene
         bags[0].symmetry,
         bags[0].fill,
     )
-    return Scene(bags, poses, (stacked,))
+    return Scene(bags, poses, (stacked,), variety=variety)
 
 
 def _task(pattern: Pattern, *, name: str, instruction: str, one_color: bool = False) -> Task:
@@ -147,7 +184,7 @@ def _task(pattern: Pattern, *, name: str, instruction: str, one_color: bool = Fa
         tool="hand",
         view="camera",
         things=colored_bags(len(pattern.slots), one_color),
-        draw_scene=partial(_draw, pattern),
+        draw_scene=partial(_standing if name == _APART else _draw, pattern),
         max_steps=STEPS_A_BAG * len(pattern.slots),
         object_symmetry=_SYMMETRY,
         pattern=pattern,
@@ -155,10 +192,41 @@ def _task(pattern: Pattern, *, name: str, instruction: str, one_color: bool = Fa
     )
 
 
+def _standing(pattern: Pattern, rng: np.random.Generator, setting: Setting) -> Scene:
+    """A stack that stands, askew as a hand builds it, and free places for all but its lowest bags."""
+    bags, variety = _bags(rng, setting)
+    above = [bag for bag, slot in zip(bags, pattern.slots, strict=True) if slot.layer]
+    if not above:
+        raise BaggieError(
+            "expected a pattern of more than one layer to take apart, got all of it on the table"
+        )
+    roomy = [
+        replace(bag, length_m=max(bag.length_m, PITCH_M), width_m=max(bag.width_m, PITCH_M)) for bag in above
+    ]
+    free, site = lay_about(roomy, pattern, setting.workspace, rng)
+    standing = pattern.at(site)
+    poses, heights_m = {}, {}
+    for bag, slot in zip(bags, standing.slots, strict=True):
+        off_m, towards = _ASKEW_M * math.sqrt(rng.random()), rng.uniform(-math.pi, math.pi)
+        turned = math.pi / 2 * rng.integers(4) + rng.uniform(-_TURNED_RAD, _TURNED_RAD)
+        off = PlanarPose(off_m * math.cos(towards), off_m * math.sin(towards), turned)
+        poses[bag.name] = slot.pose @ off
+        heights_m[bag.name] = (_LOWEST_M + _RISE_M * slot.layer) * bag.fill
+    unstacked = Unstacked(
+        tuple(bag.name for bag in bags),
+        standing,
+        tuple(free[bag.name] for bag in above),
+        setting.workspace,
+        bags[0].symmetry,
+        bags[0].fill,
+    )
+    return Scene(bags, poses, (unstacked,), heights_m, variety)
+
+
 def _lie_about(rng: np.random.Generator, setting: Setting) -> Scene:
-    bags = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    bags, variety = _bags(rng, setting)
     poses, _ = lay_about(bags, Pattern.parse("tower:1"), setting.workspace, rng)
-    return Scene(bags, poses)
+    return Scene(bags, poses, variety=variety)
 
 
 BAG_STACK = Task(
@@ -198,4 +266,9 @@ BAG_LAYERS = _task(
     Pattern.parse("layers:2x2,2x2 turned"),
     name="bag-layers",
     instruction="Stack eight bean bags in two layers of two by two, the upper one turned by 45 degrees.",
+)
+BAG_UNSTACK = _task(
+    Pattern.parse("tower:3"),
+    name="bag-unstack",
+    instruction="Take a tower of three bean bags apart, bag by bag, each to a place of its own.",
 )

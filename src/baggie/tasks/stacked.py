@@ -183,38 +183,47 @@ class Stacked:
 
 @dataclass(frozen=True)
 class Unstacked:
-    """A tower has been taken apart: its lowest bag lies where it stood, each other one in a free place of its own.
+    """A stack has been taken apart: its lowest bags lie where they stood, each other one in a free place of its own.
 
     So those below are where they were, within 2 cm, while those above are taken away.
     """
 
     bags: tuple[str, ...]
-    site: PlanarPose
-    """Where the tower stands at first, robot base frame."""
+    """By the numbers of the slots in which they stand at first."""
+    standing: Pattern
+    """What stands at first, robot base frame."""
     places: tuple[PlanarPose, ...]
-    """The free places on the table, one fewer than there are bags; robot base frame."""
+    """Free places on the table, as many as there are bags above the lowest layer; robot base frame."""
     workspace: Rectangle = WORKSPACE
     symmetry: int = 4
     fill: float = 1.0
     weight: float = 1.0
 
     @property
+    def pattern(self) -> Pattern:
+        """Where the bags go that are taken away, all of it on the table."""
+        return Pattern(tuple(PatternSlot(pose, 0) for pose in self.places))
+
+    @property
     def flat(self) -> Stacked:
         """The same bags, all of them on the table."""
-        slots = tuple(PatternSlot(pose, 0) for pose in (*self.places, self.site))
-        return Stacked(self.bags, Pattern(slots), self.workspace, self.symmetry, self.fill)
+        lowest = [self.standing.slots[slot] for slot in self.standing.layers[0]]
+        return Stacked(
+            self.bags, Pattern((*self.pattern.slots, *lowest)), self.workspace, self.symmetry, self.fill
+        )
 
     def share(self, state: State) -> float:
-        """The share of free places that are filled; 0 while a bag is in none of them, nor where the tower stands."""
+        """The share of free places that are filled; 0 while a bag is in none of them, nor where it stood."""
         at = self.flat.filled(state)
-        standing = [bag for bag in self.bags if bag not in at.values()]
-        if any(state.places[bag].distance(self.site) > NEAR_M for bag in standing):
+        away = {at[place] for place in range(len(self.places)) if place in at}
+        stood = zip(self.bags, self.standing.slots, strict=True)
+        if any(bag not in away and state.places[bag].distance(slot.pose) > NEAR_M for bag, slot in stood):
             return 0.0
-        return sum(place in at for place in range(len(self.places))) / len(self.places)
+        return len(away) / len(self.places)
 
     def holds(self, state: State) -> bool:
-        """Whether each bag lies on the table, in a place of its own or, one of them, where the tower stood."""
-        return self.flat.holds(state)
+        """Whether each bag lies on the table, the lowest where they stood, the others in places of their own."""
+        return self.flat.holds(state) and self.share(state) == 1.0
 
     def next_action(self, state: State, tool: Tool = "hand") -> PickPlace | None:
         """The highest bag goes to the first free place, as bags go to their slots in `Stacked`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,7 +15,7 @@ from baggie.geometry import PlanarPose, Rectangle
 from baggie.options.values import Scenery
 from baggie.robot.limits import WORKSPACE
 from baggie.sim.cell import Cell, draw_cell
-from baggie.sim.objects import Block, Fixture, SceneObject
+from baggie.sim.objects import Block, Fixture, Pose, SceneObject
 from baggie.sim.variety import Variety
 from baggie.tasks.conditions import AtGoal, Condition, State, Tool
 from baggie.tasks.pattern import Pattern
@@ -53,8 +53,16 @@ class Scene:
     """Where each of them is at first, by name; robot base frame."""
     conditions: tuple[Condition, ...] = ()
     """What counts, in this order; none where that is the goal that a policy is given."""
+    heights_m: Mapping[str, float] = field(default_factory=dict)
+    """How high the middles of those are at first that stand on others, by name; all else lies on the table."""
     variety: Variety | None = None
     """Table, light and distractors; None for the cell's own."""
+
+    @property
+    def starts(self) -> dict[str, Pose]:
+        """Where each of them is at first, by name: on the table, or `T_base_body` `(4, 4)` on others."""
+        on_others = {name: self.poses[name].upright(height) for name, height in self.heights_m.items()}
+        return {**self.poses, **on_others}
 
     @property
     def carried(self) -> SceneObject:

@@ -112,7 +112,7 @@ class SimulatedWorkcell(Workcell):
         self.lay_card(None)
         self.hide_target()
         self.hold_target(None)
-        self.world.reset(self.scene.poses, aside=set(self.world.movable) - set(self.scene.poses))
+        self.world.reset(self.scene.starts, aside=set(self.world.movable) - set(self.scene.poses))
         self._tool.reset()
         self.arm.park()
 
@@ -134,9 +134,10 @@ class SimulatedWorkcell(Workcell):
         return Exposure() if self.scene.variety is None else self.scene.variety.exposure
 
     def _describe(self) -> None:
-        """Make the settings say what the bag of this scene is."""
-        (bag, *_) = (thing for thing in self.scene.things if isinstance(thing, Bag))
-        self.settings = _describing(bag, self.settings)
+        """Make the settings say what the bags of this scene are."""
+        own = {thing.name for thing in self._things}
+        things = [thing for thing in self.scene.things if thing.name in own]
+        self.settings = _describing(self.task, things, self.settings)
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -295,13 +296,7 @@ def _settings(task: Task, things: Sequence[SceneObject], cell: int) -> WorkcellS
     """What a person would write down: a hand grips bags within the usual workspace, a cup goes all over the table."""
     if task.tool == "hand":
         settings = WorkcellSettings(name=f"sim cell {cell}", workspace=task.workspace)
-        bags = [thing for thing in things if isinstance(thing, Bag)]
-        described = _describing(bags[0], settings) if bags else settings
-        if task.has_goal and len(bags) < 2:
-            return described
-        # Where there are several, or the task itself says where they go, it says by which yaws of the hand, too.
-        colors = tuple(bag.color for bag in bags) if task.has_goal else ()
-        return replace(described, object_symmetry=task.object_symmetry, object_colors=colors)
+        return _describing(task, things, settings)
     largest = max(task.blocks, key=lambda block: block.size_m)
     return WorkcellSettings(
         name=f"sim cell {cell}, {task.name}",
@@ -320,9 +315,18 @@ def _wider(area: Rectangle) -> Rectangle:
     )
 
 
-def _describing(bag: Bag, settings: WorkcellSettings) -> WorkcellSettings:
-    """These settings for this bag."""
-    return replace(settings, object_color=bag.color, object_size_m=bag.size_m, object_symmetry=bag.symmetry)
+def _describing(task: Task, things: Sequence[SceneObject], settings: WorkcellSettings) -> WorkcellSettings:
+    """These settings for what a hand takes in this task, of which these are the things."""
+    bags = [thing for thing in things if isinstance(thing, Bag)]
+    for bag in bags[:1]:
+        settings = replace(
+            settings, object_color=bag.color, object_size_m=bag.size_m, object_symmetry=bag.symmetry
+        )
+    if task.has_goal and len(bags) < 2:
+        return settings
+    # Where there are several, or the task itself says where they go, it says by which yaws of the hand, too.
+    colors = tuple(bag.color for bag in bags) if task.has_goal else ()
+    return replace(settings, object_symmetry=task.object_symmetry, object_colors=colors)
 
 
 def open_simulated(
