@@ -30,6 +30,7 @@ from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy
 from baggie.policies.base import check_policy
+from baggie.policies.transporter.scores import Scores
 from baggie.types import LAYER_M, Attempt, Goal, PickPlace
 from helpers.synthetic import box_corners, carried, image_to_robot, make_stacking
 
@@ -375,3 +376,23 @@ def test_what_cannot_be_done_in_stacks_is_one_clear_line(stacked_run):
         with pytest.raises(BaggieError, match=message) as error:
             policy.plan(attempt.before, changed)
         assert "\n" not in str(error.value)
+
+
+def test_where_one_is_pointed_at_and_none_is_seen_it_says_so(stacked_run, monkeypatch):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    at = attempt.box_before.mean(axis=0)
+    u, v = np.round(policy.rectifier.to_grid(at[None])[0]).astype(int)
+
+    def bright_there(scene, about):
+        logits = torch.zeros(1, 1, *scene.maps.shape[-2:])
+        logits[..., v, u] = 20.0
+        return Scores(logits, torch.zeros_like(about.place), 1, 1)
+
+    monkeypatch.setattr(policy.network, "config", replace(policy.network.config, preset="paper"))  # no turns
+    monkeypatch.setattr(policy.network.picks[0], "forward", bright_there)
+    plan = policy.plan(attempt.before, Goal(attempt.box_after, object_at=tuple(at)))
+    assert policy.grid.to_pixels(plan.action.pick.xy)[0] == pytest.approx([u, v], abs=0.1)
+    message = "no bag in sight where one was pointed at: the heat map there is at 0.0% of its peak"
+    with pytest.raises(BaggieError, match=message) as error:
+        policy.plan(attempt.before, Goal(attempt.box_after, object_at=(at[0] + 80, at[1])))
+    assert "\n" not in str(error.value)
