@@ -148,7 +148,8 @@ class Demonstrations:
     heights: NDArray[np.float32]
     """`(N, H, W)` metres above the grid's lower bound of z."""
     poses: FloatArray
-    """`(N, 6)`: commanded pick x, y, yaw and place x, y, yaw; metres and radians, robot base frame."""
+    """`(N, 6)`: commanded pick x, y, yaw and place x, y, yaw; metres and radians, robot base frame, as they appear from
+    straight above."""
     symmetry: NDArray[np.int64]
     """`(N,)`: how often a turn what was picked looks the same; 0 for any angle."""
     grid: Grid

@@ -198,7 +198,7 @@ class TransporterPolicy(LearnedPolicy):
         if self.knows_layers and goal is not None and goal.object_at is not None:
             elsewhere = _distances(height.shape, goal.object_at) > _POINTED_M / grid.pixel_m
         decision = self.decide(color, height, self.barred(height, straight.tried), elsewhere)
-        pointed = decision.picks[0].without(torch.from_numpy(elsewhere)[None].to(self.device))
+        pointed = self._pointed(decision, elsewhere)[0]
         _require_in_sight(decision.picks[0], pointed)
         pick_xy, place_xy = (
             grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)
@@ -271,7 +271,15 @@ class TransporterPolicy(LearnedPolicy):
                 quarter_turned(elsewhere, quarters),
             )
             others.append(turned_back(there, quarters, height.shape))
-        return max([straight, *others], key=lambda each: _sure(each.picks) * _sure(each.places))
+        return max(
+            [straight, *others],
+            key=lambda each: _sure(self._pointed(each, elsewhere)) * _sure(each.places),
+        )
+
+    def _pointed(self, decision: Decision, elsewhere: NDArray[np.bool_]) -> list[Scores]:
+        """The looks for the pick, the first without what lies `elsewhere` `(H, W)`."""
+        first, *finer = decision.picks
+        return [first.without(torch.from_numpy(elsewhere)[None].to(self.device)), *finer]
 
     def _decide(
         self,
