@@ -34,6 +34,7 @@ from baggie.types import (
     require_goal,
     require_observation,
 )
+from baggie.vision.draw import region_mask
 
 Pixels = TypeVar("Pixels", bound=np.generic)
 
@@ -185,7 +186,7 @@ class TransporterPolicy(LearnedPolicy):
         is the share of the heat maps' weight within two cells of their peaks, the smaller of the two: among things that
         are as good to pick it is shared. A goal is painted into the colours as in training. Views are of the whole map,
         or over the camera's own picture where that was rectified. Where it knows layers it picks what is pointed at,
-        and heights are counted by the goal's layers.
+        else nothing under the goal, and heights are counted by the goal's layers.
         Raises `BaggieError` where there is no height map, one with other pixels than it was trained on, or no goal
         where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
         goal, or what is pointed at, leaves it or the grid, or a layer is above the table and it knows that only; and
@@ -194,10 +195,13 @@ class TransporterPolicy(LearnedPolicy):
         straight, goal = self._rectified(require_observation(observation), goal)
         grid, height = self._checked(straight)
         color = self.painted(straight.color, goal)
-        elsewhere = np.zeros(height.shape, np.bool_)
-        if self.knows_layers and goal is not None and goal.object_at is not None:
-            elsewhere = _distances(height.shape, goal.object_at) > _POINTED_M / grid.pixel_m
-        decision = self.decide(color, height, self.barred(height, straight.tried), elsewhere)
+        barred, elsewhere = self.barred(height, straight.tried), np.zeros(height.shape, np.bool_)
+        if self.knows_layers and goal is not None:
+            if goal.object_at is None:  # what its patch hides is a bag that lies there already, if any
+                barred |= region_mask(goal.corners, straight.size) > 0
+            else:
+                elsewhere = _distances(height.shape, goal.object_at) > _POINTED_M / grid.pixel_m
+        decision = self.decide(color, height, barred, elsewhere)
         pointed = self._pointed(decision, elsewhere)[0]
         _require_in_sight(decision.picks[0], pointed)
         pick_xy, place_xy = (
