@@ -227,7 +227,7 @@ def test_a_task_has_as_many_bags_as_the_pattern_has_slots(tmp_path: Path) -> Non
     assert task_of(options(tmp_path)) is TASKS["bag-tower"]
 
 
-@pytest.mark.parametrize("policy", ["keypoint", "regression"])
+@pytest.mark.parametrize("policy", ["keypoint", "regression", "transporter"])
 def test_what_was_taught_to_stack_is_judged_on_all_stacks_and_what_was_not_on_none(
     tmp_path: Path, monkeypatch, policy: str
 ) -> None:
@@ -237,7 +237,8 @@ def test_what_was_taught_to_stack_is_judged_on_all_stacks_and_what_was_not_on_no
 
     def run(instruction: str | None) -> str:
         training = {"training": {"task": instruction}} if instruction else {}
-        (tmp_path / "config.yaml").write_text(yaml.safe_dump({"policy": policy} | training))
+        model = {"model": {"camera": {"matrix": []}}}
+        (tmp_path / "config.yaml").write_text(yaml.safe_dump({"policy": policy} | model | training))
         return str(tmp_path)
 
     for task in STACKS:

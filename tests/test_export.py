@@ -225,7 +225,9 @@ def test_what_knows_the_table_only_is_exported_and_loaded_as_before_and_refuses_
     )
     for policy in (trained, graph, *policies.values(), load_policy(exported["regression"]), camera):
         for layers in ({"layer": 1}, {"object_layer": 2}):
-            with pytest.raises(BaggieError, match="collect bag-stack and train keypoint on it") as error:
+            with pytest.raises(
+                BaggieError, match="collect bag-stack and train keypoint or transporter on it"
+            ) as error:
                 policy.plan(attempt.before, replace(goal, **layers))
             assert policy.name in str(error.value)
             assert "\n" not in str(error.value)

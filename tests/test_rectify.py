@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.calibration.image_to_robot.rectify import Rectifier
+from baggie.calibration.image_to_robot.rectify import Leaning, Rectifier
+from baggie.errors import BaggieError, CalibrationError
 from baggie.geometry import Grid, PlanarPose
-from baggie.types import Goal
+from baggie.types import Goal, middle_of_layer_m
 from baggie.vision.draw import paint_goal
 from helpers.synthetic import BAG_HEIGHT_M, BAG_SIDE_M, box_corners, image_to_robot, to_pixels
 
@@ -119,6 +120,13 @@ def test_its_config_gives_the_same_to_the_bit():
     picture = np.random.default_rng(0).integers(0, 256, (360, 640, 3)).astype(np.uint8)
     assert np.array_equal(again.observation(picture).color, RECTIFIER.observation(picture).color)
     assert again.config() == RECTIFIER.config()
+    assert again.leaning is None
+    stacked = Rectifier.of(MAP.for_size(SIZE), GRID, Leaning.of(MAP))
+    again = Rectifier.from_config(stacked.config(), SIZE, GRID)
+    pose = PlanarPose(0.4, 0.1, 0.2)
+    assert again.leaning is not None
+    assert stacked.leaning is not None
+    assert again.leaning.seen(pose, 3) == stacked.leaning.seen(pose, 3)
 
 
 def test_a_map_that_knows_one_height_only_does_as_well():
@@ -130,3 +138,42 @@ def test_a_map_that_knows_one_height_only_does_as_well():
     assert Rectifier.of(flat.for_size(full), GRID).to_grid(seen_at(xy, full)) == pytest.approx(
         GRID.to_pixels(xy), abs=0.5
     )
+    with pytest.raises(CalibrationError, match="fitted at one height only"):
+        Leaning.of(flat)
+
+
+LEANING = Leaning.of(MAP)
+layers = st.integers(0, 8)
+
+
+@given(poses, layers)
+def test_robot_to_where_a_bag_in_a_layer_appears_and_back(pose, layer):
+    seen = LEANING.seen(pose, layer)
+    back = LEANING.there(seen, layer)
+    assert back.xy == pytest.approx(pose.xy, abs=1e-12)
+    assert seen.yaw == back.yaw == pose.yaw
+
+
+@settings(deadline=None)
+@given(poses, st.integers(1, 8))
+def test_a_bag_in_a_layer_appears_where_the_camera_sees_it(pose, layer):
+    """In the very pixel in which the map, carried to the height of the layer's middle, has it."""
+    pixel = MAP.for_size(SIZE).at_height(middle_of_layer_m(layer)).to_pixels(pose.xy)
+    assert RECTIFIER.from_grid(GRID.to_pixels(LEANING.seen(pose, layer).xy)) == pytest.approx(pixel, abs=1e-6)
+
+
+@given(poses, st.integers(1, 8))
+def test_it_appears_further_from_the_camera_s_foot_by_its_height(pose, layer):
+    """By similar triangles: as its height above the plane to what is left up to the camera, which is 1 m up."""
+    foot, up = LEANING.camera[:2], LEANING.camera[2]
+    assert LEANING.camera == pytest.approx([0.33, 0.08, 1.0], abs=1e-3)
+    higher = middle_of_layer_m(layer) - BAG_HEIGHT_M / 2
+    shift = LEANING.seen(pose, layer).xy - pose.xy
+    assert shift == pytest.approx((pose.xy - foot) * higher / (up - middle_of_layer_m(layer)), abs=1e-12)
+    assert LEANING.seen(pose, 0).xy == pytest.approx(pose.xy, abs=1e-12)
+
+
+def test_no_layer_is_as_high_as_the_camera():
+    LEANING.seen(PlanarPose(0.5, 0.0), 44)
+    with pytest.raises(BaggieError, match=r"below the camera, 1\.00 m above the table, got layer 45; .* 44$"):
+        LEANING.seen(PlanarPose(0.5, 0.0), 45)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,8 +30,9 @@ from baggie.learning.split import RULE, Split
 from baggie.learning.transporter import TransporterOptions, TransporterRecipe
 from baggie.policies import TransporterPolicy, load_policy
 from baggie.policies.base import check_policy
-from baggie.types import Attempt, Goal, PickPlace
-from helpers.synthetic import box_corners, carried, image_to_robot
+from baggie.policies.transporter.scores import Scores
+from baggie.types import LAYER_M, Attempt, Goal, PickPlace
+from helpers.synthetic import box_corners, carried, image_to_robot, make_stacking
 
 SIZE = (640, 360)
 QUARTER = math.pi / 2
@@ -278,3 +280,126 @@ def sides(color, channel):
     points = cv2.findNonZero(mask)
     (u, v), _, degrees = cv2.minAreaRect(points)
     return math.radians(degrees), np.array([u, v])
+
+
+# --- stacks
+
+STACKED = make_stacking(12, 0, SIZE)
+
+
+@pytest.fixture(scope="module")
+def stacked_run(recording, tmp_path_factory) -> Path:
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("stacked")
+    train(options(recording, out), STACKED)
+    return out
+
+
+def test_what_is_learned_from_stacks_is_where_each_bag_appears(recording):
+    assert any(attempt.pick_layer for attempt in STACKED)
+    to = rectifier_for(STACKED, recording)
+    for attempt in STACKED:
+        seen = rectified(attempt, to)
+        for box, pose, true in (
+            (seen.box_before, seen.commanded.pick, attempt.truth.before),
+            (seen.box_after, seen.commanded.place, attempt.truth.after),
+        ):
+            assert to.grid.contains([pose.xy]).all()
+            scatter = pose.distance(true)  # of labels, and by how much it leans
+            assert np.linalg.norm(to.grid.to_robot(box.mean(axis=0)) - pose.xy) < 0.01, scatter
+    flat = [replace(attempt, pick_layer=0, place_layer=0) for attempt in STACKED]
+    assert rectifier_for(flat, recording).leaning is None
+
+
+def test_a_bag_in_a_stack_is_not_turned_on_the_spot_and_its_goal_is(recording):
+    to = rectifier_for(STACKED, recording)
+    seen = [rectified(attempt, to) for attempt in STACKED]
+    for before, after in zip(seen, with_turns(seen, np.random.default_rng(0))[len(seen) :], strict=True):
+        assert not np.array_equal(before.box_after, after.box_after)
+        if before.pick_layer:
+            assert np.array_equal(before.before.color, after.before.color)
+            assert before.commanded.pick == after.commanded.pick
+
+
+@pytest.mark.parametrize("layers", [(0, 0), (0, 2), (1, 3)])
+def test_a_layer_moves_what_is_planned_to_where_the_robot_has_it(stacked_run, layers):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    assert policy.knows_layers
+    assert policy.wants_goal
+    goal = Goal(attempt.box_after, object_at=tuple(attempt.box_before.mean(axis=0)))
+    flat = policy.plan(attempt.before, goal).action
+    below, under = layers
+    action = policy.plan(attempt.before, replace(goal, object_layer=below, layer=under)).action
+    leaning = policy.rectifier.leaning
+    assert leaning.seen(action.pick, below).xy == pytest.approx(flat.pick.xy, abs=1e-9)
+    assert leaning.seen(action.place, under).xy == pytest.approx(flat.place.xy, abs=1e-9)
+    assert (action.pick.yaw, action.place.yaw) == (flat.pick.yaw, flat.place.yaw)
+    assert (action.pick_on_m, action.place_on_m) == (below * LAYER_M, under * LAYER_M)
+
+
+def test_of_several_bags_the_one_that_is_pointed_at_is_picked(stacked_run):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    whole = policy.plan(attempt.before, Goal(attempt.box_after))
+    for other in STACKED[-4:]:
+        at = other.box_before.mean(axis=0)
+        plan = policy.plan(attempt.before, Goal(attempt.box_after, object_at=tuple(at)))
+        there = policy.grid.to_robot(policy.rectifier.to_grid(at[None]))[0]
+        assert np.linalg.norm(plan.action.pick.xy - there) < 0.055
+        shown, all_shown = (np.count_nonzero(each.views["pick"]) for each in (plan, whole))
+        assert (
+            shown >= all_shown
+        )  # the whole heat map, whoever points; where nobody does, nothing under the goal
+    hidden = Goal(STACKED[-1].box_before)
+    pick = policy.rectifier.to_grid(hidden.corners)
+    action = policy.plan(attempt.before, hidden).action
+    u, v = policy.grid.to_pixels(action.pick.xy)[0]
+    assert cv2.pointPolygonTest(pick.astype(np.float32), (u, v), True) < 2
+
+
+def test_layers_are_told_again_by_what_was_saved_and_not_by_an_older_run(stacked_run, run, tmp_path):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    goal = Goal(attempt.box_after, layer=2)
+    policy.save_pretrained(tmp_path / "again")
+    one, other = (each.plan(attempt.before, goal) for each in (policy, load_policy(tmp_path / "again")))
+    assert np.array_equal(one.action.to_array(), other.action.to_array())
+    config = yaml.safe_load((tmp_path / "again" / "config.yaml").read_text())
+    del config["model"]["camera"]["leaning"]
+    (tmp_path / "again" / "config.yaml").write_text(yaml.safe_dump(config))
+    assert "leaning" not in load_policy(run).config()["model"]["camera"]
+    for known in (load_policy(tmp_path / "again"), load_policy(run)):
+        with pytest.raises(
+            BaggieError, match="got a transporter policy that knows the table only; collect bag"
+        ):
+            known.plan(attempt.before, goal)
+
+
+def test_what_cannot_be_done_in_stacks_is_one_clear_line(stacked_run):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    goal = Goal(attempt.box_after)
+    for changed, message in (
+        (replace(goal, object_at=(3.0, 3.0)), "expected a bag pointed at on the part of the table"),
+        (replace(goal, layer=60), "expected a layer below the camera, 1.00 m above the table, got layer 60"),
+    ):
+        with pytest.raises(BaggieError, match=message) as error:
+            policy.plan(attempt.before, changed)
+        assert "\n" not in str(error.value)
+
+
+def test_where_one_is_pointed_at_and_none_is_seen_it_says_so(stacked_run, monkeypatch):
+    policy, attempt = load_policy(stacked_run), STACKED[-1]
+    at = attempt.box_before.mean(axis=0)
+    u, v = np.round(policy.rectifier.to_grid(at[None])[0]).astype(int)
+
+    def bright_there(scene, about):
+        logits = torch.zeros(1, 1, *scene.maps.shape[-2:])
+        logits[..., v, u] = 20.0
+        return Scores(logits, torch.zeros_like(about.place), 1, 1)
+
+    monkeypatch.setattr(policy.network, "config", replace(policy.network.config, preset="paper"))  # no turns
+    monkeypatch.setattr(policy.network.picks[0], "forward", bright_there)
+    plan = policy.plan(attempt.before, Goal(attempt.box_after, object_at=tuple(at)))
+    assert policy.grid.to_pixels(plan.action.pick.xy)[0] == pytest.approx([u, v], abs=0.1)
+    message = "no bag in sight where one was pointed at: the heat map there is at 0.0% of its peak"
+    with pytest.raises(BaggieError, match=message) as error:
+        policy.plan(attempt.before, Goal(attempt.box_after, object_at=(at[0] + 80, at[1])))
+    assert "\n" not in str(error.value)

@@ -28,6 +28,12 @@ _NEWTON_STEPS = 30
 LAYER_M = 0.022
 """By how much a bag lies higher than what carries it, on the average; measured: 18 to 25 mm."""
 
+
+def middle_of_layer_m(layer: int) -> float:
+    """Metres above the table of the middle of a bag with so many others below it, on each other."""
+    return (layer + 0.5) * LAYER_M
+
+
 Image = NDArray[np.uint8]
 """`(H, W, 3)` uint8, RGB."""
 

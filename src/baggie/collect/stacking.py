@@ -22,7 +22,7 @@ from baggie.robot.limits import MARGIN_M
 from baggie.seeds import first_fit
 from baggie.tasks.pattern import Pattern
 from baggie.tasks.stacked import LAID_ANEW_M
-from baggie.types import LAYER_M, Failure, Observation, PickPlace
+from baggie.types import LAYER_M, Failure, Observation, PickPlace, middle_of_layer_m
 from baggie.vision.color_mask import Detection, find_bag
 from baggie.workcell.workcell import WorkcellSettings
 
@@ -108,7 +108,7 @@ class Stacking:
                 f"{image_to_robot.height_m:g} m only; calibrate at two heights, or with --intrinsics"
             )
         self._settings, self._rng = settings, rng
-        self._maps = [image_to_robot.at_height((layer + 0.5) * LAYER_M) for layer in range(_MOST_LAYERS)]
+        self._maps = [image_to_robot.at_height(middle_of_layer_m(layer)) for layer in range(_MOST_LAYERS)]
         self.lying: dict[int, Lying] = {}
         """What is believed, by the bags' numbers."""
         self._site: _Site | None = None

@@ -77,7 +77,9 @@ def check_taught(policy: str, task: str) -> None:
     config = config_of(policy)
     if not config:
         return
-    stacks, by_goal = TASKS[task].pattern is not None, config["policy"] in _TRAINED_BY_CAMERA
+    from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
+    by_goal = config["policy"] in (*_TRAINED_BY_CAMERA, _FROM_ABOVE) and not from_above
+    stacks = TASKS[task].pattern is not None
     instruction = config.get("training", {}).get("task")  # None of a run begun before runs said so
     words = {name: known.instruction for name, known in TASKS.all().items()}
     taught = next((name for name in words if words[name] == instruction), None)
@@ -94,7 +96,6 @@ def check_taught(policy: str, task: str) -> None:
         )
     if config["policy"] not in (*_BY_CAMERA, _FROM_ABOVE):  # another package's knows itself what it looks at
         return
-    from_above = config["policy"] == _FROM_ABOVE and config.get("model", {}).get("camera") is None
     if from_above != (TASKS[task].view == "height-map"):
         looks, needed = ("height maps", "a camera's pictures")[:: 1 if from_above else -1]
         raise BaggieError(

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from baggie.calibration.files import MAP_FILE
 from baggie.calibration.image_to_robot.map import ImageToRobot
-from baggie.calibration.image_to_robot.rectify import Rectifier
+from baggie.calibration.image_to_robot.rectify import Leaning, Rectifier
 from baggie.data.files import CALIBRATION_FOLDER
 from baggie.data.summary import goal_of, shown_goal
 from baggie.errors import DataError
 from baggie.geometry import FloatArray, Grid, PlanarPose, rotation
-from baggie.learning.augmentation import object_mask, randomly_turned, unchanged, with_shape, without_object
-from baggie.learning.samples import directions
+from baggie.learning.augmentation import randomly_turned, unchanged, with_shape, without_object
+from baggie.learning.samples import directions, mask_alone
 from baggie.learning.symmetry import Origin, check_symmetries, found_symmetries
 from baggie.policies.planning import GoalInput
 from baggie.policies.transporter.policy import UNKNOWN, Scale
@@ -40,7 +40,8 @@ def from_camera(attempts: Sequence[Attempt]) -> bool:
 def rectifier_for(attempts: Sequence[Attempt], recording: Path) -> Rectifier:
     """To a grid over all that was picked and placed in pictures of one size, by the recording's own map.
 
-    Raises `DataError` where the recording has none.
+    It knows layers where one of the attempts is above the table. Raises `DataError` where the recording has no map, and
+    `CalibrationError` for layers where that knows one height only.
     """
     path = recording / CALIBRATION_FOLDER / MAP_FILE
     if not path.exists():
@@ -54,22 +55,34 @@ def rectifier_for(attempts: Sequence[Attempt], recording: Path) -> Rectifier:
     boxes = to_robot.to_robot(pixels.reshape(-1, 2)).reshape(-1, 4, 2)
     middles = boxes.mean(axis=1)
     reach = float(np.nanmax(np.linalg.norm(boxes - middles[:, None], axis=2))) + _MARGIN_M
-    handled = [(action.pick.xy, action.place.xy) for action in (each.outcome.executed for each in attempts)]
+    stacked = any(attempt.pick_layer or attempt.place_layer for attempt in attempts)
+    leaning = Leaning.of(to_robot) if stacked else None
+    executed = (_as_seen(each.outcome.executed, each, leaning) for each in attempts)
+    handled = [(action.pick.xy, action.place.xy) for action in executed]
     places = np.concatenate([middles[np.isfinite(middles).all(axis=1)], *handled])
     low = np.floor((places.min(axis=0) - reach) / _PIXEL_M)
     high = np.ceil((places.max(axis=0) + reach) / _PIXEL_M)
     (x_low, x_high), (y_low, y_high) = (np.c_[low, high] * _PIXEL_M).tolist()
-    return Rectifier.of(to_robot, Grid((x_low, x_high), (y_low, y_high), pixel_m=_PIXEL_M))
+    return Rectifier.of(to_robot, Grid((x_low, x_high), (y_low, y_high), pixel_m=_PIXEL_M), leaning)
 
 
 def rectified(attempt: Attempt, rectifier: Rectifier) -> Attempt:
-    """The attempt with the picture before, and the boxes, from straight above."""
+    """The attempt with the picture before, the boxes, and what was commanded as it appears from straight above."""
     return replace(
         attempt,
         before=rectifier.observation(attempt.before.color),
         box_before=rectifier.to_grid(attempt.box_before),
         box_after=rectifier.to_grid(attempt.box_after),
+        commanded=_as_seen(attempt.commanded, attempt, rectifier.leaning),
     )
+
+
+def _as_seen(action: PickPlace, attempt: Attempt, leaning: Leaning | None) -> PickPlace:
+    """An attempt's action with pick and place where they appear from straight above, by its layers."""
+    if leaning is None:
+        return action
+    pick = leaning.seen(action.pick, attempt.pick_layer or 0)
+    return replace(action, pick=pick, place=leaning.seen(action.place, attempt.place_layer or 0))
 
 
 def with_seen_symmetry(attempts: Sequence[Attempt]) -> list[Attempt]:
@@ -98,10 +111,10 @@ def _turned(attempt: Attempt, rng: np.random.Generator) -> Attempt:
     grid, before, action = attempt.before.grid, attempt.before, attempt.commanded
     assert grid is not None
     pick, place = action.pick, action.place
-    if np.isfinite(attempt.box_before).all():
+    mask = mask_alone(attempt, before.color, attempt.box_before)
+    if mask is not None:
         about = grid.to_pixels(pick.xy)[0]
         shape = randomly_turned(rng, unchanged(pick.yaw), grid.pixel_m * np.eye(2))
-        mask = object_mask(before.color, attempt.box_before)
         table = without_object(before.color, mask)
         color, _ = with_shape(before.color, table, mask, about, shape)
         before, pick = replace(before, color=color), replace(pick, yaw=shape.yaw)
@@ -135,7 +148,8 @@ class Demonstrations:
     heights: NDArray[np.float32]
     """`(N, H, W)` metres above the grid's lower bound of z."""
     poses: FloatArray
-    """`(N, 6)`: commanded pick x, y, yaw and place x, y, yaw; metres and radians, robot base frame."""
+    """`(N, 6)`: commanded pick x, y, yaw and place x, y, yaw; metres and radians, robot base frame, as they appear from
+    straight above."""
     symmetry: NDArray[np.int64]
     """`(N,)`: how often a turn what was picked looks the same; 0 for any angle."""
     grid: Grid

@@ -291,7 +291,7 @@ class Samples:
         self._yaw, self._symmetry = labels.yaw, labels.symmetry
         self._pictures = np.stack([view.cut(attempt.before.color) for attempt in attempts])
         self._masks = [
-            _mask(attempt, picture, view.to_input(attempt.box_before))
+            mask_alone(attempt, picture, view.to_input(attempt.box_before))
             for attempt, picture in zip(attempts, self._pictures, strict=True)
         ]
         self._tables = [
@@ -360,7 +360,7 @@ class Samples:
         return picture, shape
 
 
-def _mask(attempt: Attempt, picture: Image, box: FloatArray) -> Mask | None:
+def mask_alone(attempt: Attempt, picture: Image, box: FloatArray) -> Mask | None:
     """Where the object is in a picture `(H, W, 3)`, in which its box is `(4, 2)`, to be changed there.
 
     None where it was not seen, or lies on others or right beside some: what is below it and behind it, nobody knows.

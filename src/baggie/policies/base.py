@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Policy(ABC):
     """
 
     name: str
-    wants_goal: ClassVar[bool] = False
+    wants_goal: bool = False
     """Whether it takes an object to a goal in the picture; else it knows by itself where things go."""
 
     @abstractmethod

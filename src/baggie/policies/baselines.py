@@ -24,6 +24,7 @@ from baggie.types import (
     Observation,
     PickPlace,
     Plan,
+    middle_of_layer_m,
     require_goal,
     require_observation,
 )
@@ -112,7 +113,7 @@ class ColorMaskPolicy(Policy):
 
 def _in_layer(to_robot: ImageToRobot, layer: int) -> ImageToRobot:
     """The map at the middle of bags of a layer; as it was fitted on the table. Raises `CalibrationError`."""
-    return to_robot if layer == 0 else to_robot.at_height((layer + 0.5) * LAYER_M)
+    return to_robot if layer == 0 else to_robot.at_height(middle_of_layer_m(layer))
 
 
 def _pose(to_robot: ImageToRobot, pixel: FloatArray, yaw: float) -> PlanarPose:

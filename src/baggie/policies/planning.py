@@ -262,7 +262,7 @@ def require_on_table(goal: Goal, name: str) -> None:
         raise BaggieError(
             f"expected a policy that learned from stacks, as the goal takes a bag from layer {goal.object_layer} to "
             f"layer {goal.layer}, got a {name} policy that knows the table only; collect bag-stack and train keypoint "
-            "on it"
+            "or transporter on it"
         )
 
 

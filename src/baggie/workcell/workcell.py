@@ -30,7 +30,7 @@ from baggie.options.values import Color
 from baggie.robot.arm import Arm
 from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
 from baggie.robot.primitives import Handling, least_turn, pick, place
-from baggie.types import LAYER_M, Failure, Image, Observation, Outcome, PickPlace, Plan
+from baggie.types import Failure, Image, Observation, Outcome, PickPlace, Plan, middle_of_layer_m
 from baggie.vision.drift import Landmarks
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ NEAR_M = 0.005
 
 def middle_m(settings: WorkcellSettings, layer: int = 0) -> float:
     """Metres above the table of the middle of what is seen of the object, in this layer of a stack; 0 is the table."""
-    return (layer + 0.5) * LAYER_M if layer else settings.object_size_m[2] / 2
+    return middle_of_layer_m(layer) if layer else settings.object_size_m[2] / 2
 
 
 def at_outline(image_to_robot: ImageToRobot, settings: WorkcellSettings, layer: int = 0) -> ImageToRobot:

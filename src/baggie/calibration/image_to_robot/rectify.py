@@ -2,11 +2,13 @@
 
 Every pixel of a grid over the table looks up where the camera sees that place, on the one plane the map is right for.
 What lies in this plane keeps its size and shape wherever it is; what is higher leans away from the camera. So the
-outline of an object that rests on a card is seen elsewhere than the card.
+outline of an object that rests on a card is seen elsewhere than the card, and a bag that lies on others elsewhere than
+the robot has it: by how much, its layer tells.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,8 +20,9 @@ from numpy.typing import NDArray
 
 from baggie.calibration.image_to_robot.map import ImageToRobot
 from baggie.calibration.image_to_robot.projection import project, to_plane
-from baggie.geometry import FloatArray, Grid
-from baggie.types import Goal, Image, Intrinsics, Observation
+from baggie.errors import BaggieError
+from baggie.geometry import FloatArray, Grid, PlanarPose
+from baggie.types import LAYER_M, Goal, Image, Intrinsics, Observation, middle_of_layer_m
 
 Float32 = NDArray[np.float32]
 Pixels = Float32
@@ -30,6 +33,49 @@ _SHRINK = 3
 
 
 @dataclass(frozen=True, eq=False)
+class Leaning:
+    """Says where bags in layers of a stack appear from straight above, on the plane of the picture, and the inverse.
+
+    The line of sight through a bag meets that plane further from the camera's foot, the place right below it: as many
+    times as the plane is further below the camera than the bag is. Yaws appear as they are.
+    """
+
+    camera: FloatArray
+    """`(3,)` metres in the robot's base frame."""
+    plane_m: float
+    """Height of the picture's plane above the table: that of the middle of bags on it, layer 0."""
+
+    @classmethod
+    def of(cls, fitted: ImageToRobot) -> Self:
+        """Tell it by a map at its own height. Raises `CalibrationError` where the map knows one height only."""
+        matrix = fitted.at_height(middle_of_layer_m(1)).projection
+        return cls(np.asarray(-np.linalg.solve(matrix[:, :3], matrix[:, 3]), float), fitted.height_m)
+
+    def seen(self, pose: PlanarPose, layer: int) -> PlanarPose:
+        """Where a bag at a pose in a layer appears on the plane. Raises `BaggieError` for one above the camera."""
+        return self._from_foot(pose, self._times(layer))
+
+    def there(self, pose: PlanarPose, layer: int) -> PlanarPose:
+        """The inverse of `seen`."""
+        return self._from_foot(pose, 1 / self._times(layer))
+
+    def _from_foot(self, pose: PlanarPose, times: float) -> PlanarPose:
+        """A pose so many times as far from the camera's foot."""
+        x, y = (self.camera[:2] + times * (pose.xy - self.camera[:2])).tolist()
+        return replace(pose, x=x, y=y)
+
+    def _times(self, layer: int) -> float:
+        above = float(self.camera[2])
+        height = middle_of_layer_m(layer) if layer else self.plane_m
+        if height >= above:
+            raise BaggieError(
+                f"expected a layer below the camera, {above:.2f} m above the table, got layer {layer}; give one up to "
+                f"{math.ceil(above / LAYER_M - 0.5) - 1}"
+            )
+        return (above - self.plane_m) / (above - height)
+
+
+@dataclass(frozen=True, eq=False)
 class Rectifier:
     """Maps pictures of one camera, `lens.width` x `lens.height` pixels, to those of a grid, and points both ways."""
 
@@ -37,14 +83,16 @@ class Rectifier:
     plane: FloatArray
     """`(3, 3)`: points (x, y, 1) of the plane, metres in the robot's base frame -> rays of the camera."""
     grid: Grid
+    leaning: Leaning | None = None
+    """Of bags in layers above the table; None where there are none."""
 
     @classmethod
-    def of(cls, fitted: ImageToRobot, grid: Grid) -> Self:
+    def of(cls, fitted: ImageToRobot, grid: Grid, leaning: Leaning | None = None) -> Self:
         """Make a rectifier at the map's height, for pictures of the size that the map is of."""
         plane = fitted.projection[:, [0, 1, -1]].copy()
         if fitted.height_aware:
             plane[:, 2] += fitted.height_m * fitted.projection[:, 2]
-        return cls(fitted.lens, plane, grid)
+        return cls(fitted.lens, plane, grid, leaning)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -101,15 +149,22 @@ class Rectifier:
     def config(self) -> dict[str, Any]:
         """Give the settings in plain YAML types; the picture's size and the grid are kept elsewhere."""
         parts = {"matrix": self.lens.matrix, "distortion": self.lens.distortion, "plane": self.plane}
-        return {name: part.tolist() for name, part in parts.items()}
+        config: dict[str, Any] = {name: part.tolist() for name, part in parts.items()}
+        if (leaning := self.leaning) is not None:
+            config["leaning"] = {"camera": leaning.camera.tolist(), "plane_m": leaning.plane_m}
+        return config
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], size: tuple[int, int], grid: Grid) -> Self:
-        """The inverse of `config`."""
+        """The inverse of `config`, of older versions' runs, too, which know no layers."""
         matrix, distortion, plane = (
             np.array(config[name], float) for name in ("matrix", "distortion", "plane")
         )
-        return cls(Intrinsics(*size, matrix.reshape(3, 3), distortion), plane.reshape(3, 3), grid)
+        lens, said = Intrinsics(*size, matrix.reshape(3, 3), distortion), config.get("leaning")
+        leaning = None
+        if said is not None:
+            leaning = Leaning(np.array(said["camera"], float).reshape(3), float(said["plane_m"]))
+        return cls(lens, plane.reshape(3, 3), grid, leaning)
 
     @cached_property
     def _times(self) -> int:

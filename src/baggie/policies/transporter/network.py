@@ -202,10 +202,17 @@ class TransporterNet(nn.Module):
             stage(scene, pick, near) for stage in self.places
         ]
 
-    def decide(self, color: Tensor, height: Tensor, barred: Tensor | None = None) -> Decision:
+    def decide(
+        self,
+        color: Tensor,
+        height: Tensor,
+        barred: Tensor | None = None,
+        elsewhere: Tensor | None = None,
+    ) -> Decision:
         """Where to pick and where to place; each look is about where the one before it ended, and given what that said.
 
-        `barred` `(B, H, W)`: where not to pick.
+        `barred` `(B, H, W)`: where not to pick. `elsewhere` `(B, H, W)`: where what is pointed at is not; the pick is
+        not read there, and yet its first look stays whole.
         """
         scene: MapFeatures = self.look(color, height)
         rows, columns = height.shape[-2:]
@@ -216,8 +223,10 @@ class TransporterNet(nn.Module):
         places: list[Scores] = []
         for stage in self.picks:
             look: Scores = stage(scene, pick)
-            picks.append(look if barred is None or picks else look.without(barred))
-            pick = picks[-1].read(pick)
+            first = not picks
+            picks.append(look.without(barred) if first and barred is not None else look)
+            pointed = picks[-1].without(elsewhere) if first and elsewhere is not None else picks[-1]
+            pick = pointed.read(pick)
         for stage in self.places:
             look = stage(scene, pick, place)
             places.append(look.given(places[-1]) if places else look)

@@ -24,7 +24,17 @@ from baggie.policies.planning import GoalInput, require_on_table
 from baggie.policies.transporter.config import TransporterConfig
 from baggie.policies.transporter.network import Decision, TransporterNet
 from baggie.policies.transporter.scores import PlaceAngle, Scores
-from baggie.types import Goal, Image, Observation, PickPlace, Plan, require_goal, require_observation
+from baggie.types import (
+    LAYER_M,
+    Goal,
+    Image,
+    Observation,
+    PickPlace,
+    Plan,
+    require_goal,
+    require_observation,
+)
+from baggie.vision.draw import region_mask
 
 Pixels = TypeVar("Pixels", bound=np.generic)
 
@@ -77,6 +87,10 @@ _SURE = 0.8
 """Of a place: surer than that is right nearly always."""
 _TRIED_PX = 4.0
 """Around a pick that came to nothing; the next one is as far away as a thing is wide."""
+_POINTED_M = 0.05
+"""A bag that is pointed at is looked for so near: half of it shows beside one that lies on it."""
+_FAINT = 0.001
+"""Of the peak of a heat map: where nothing is brighter, no bag lies that can be picked."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +122,9 @@ class TransporterPolicy(LearnedPolicy):
     """Looks at orthographic pictures with height (`baggie.vision.height_map`): cameras with depth, and calibrated.
 
     Maps may be of any size, with pixels as large as those it was trained on. With a `rectifier` it looks at one
-    camera's own pictures, which it rectifies to its grid; then everything has a height of 0.
+    camera's own pictures, which it rectifies to its grid; then everything has a height of 0. Where that knows layers,
+    from a recording of stacks, the network still sees and says places in the rectified picture: a bag's layer tells
+    where the robot has what appears there.
     """
 
     name = "transporter"
@@ -133,6 +149,12 @@ class TransporterPolicy(LearnedPolicy):
         super().__init__(network, (columns, rows) if rectifier is None else rectifier.size, cell)
         self.grid, self.goal_input, self.rectifier = grid, goal_input, rectifier
         self.scale = scale
+        self.wants_goal = goal_input is not None
+
+    @property
+    def knows_layers(self) -> bool:
+        """Whether it learned from stacks."""
+        return self.rectifier is not None and self.rectifier.leaning is not None
 
     def model_config(self) -> dict[str, Any]:
         """The network's kind, the grid, how goals get into its input, and what a camera sees of the grid."""
@@ -163,15 +185,25 @@ class TransporterPolicy(LearnedPolicy):
         the same (`TransporterConfig.symmetry`) the turn is the least, and so is a gripper's yaw at the pick. Confidence
         is the share of the heat maps' weight within two cells of their peaks, the smaller of the two: among things that
         are as good to pick it is shared. A goal is painted into the colours as in training. Views are of the whole map,
-        or over the camera's own picture where that was rectified.
+        or over the camera's own picture where that was rectified. Where it knows layers it picks what is pointed at,
+        else nothing under the goal, and heights are counted by the goal's layers.
         Raises `BaggieError` where there is no height map, one with other pixels than it was trained on, or no goal
         where it needs one; of a camera's own picture, where it has another shape than those it was trained on, or the
-        goal leaves it or the grid, or is in a layer above the table.
+        goal, or what is pointed at, leaves it or the grid, or a layer is above the table and it knows that only; and
+        where no bag is seen that is pointed at.
         """
         straight, goal = self._rectified(require_observation(observation), goal)
         grid, height = self._checked(straight)
         color = self.painted(straight.color, goal)
-        decision = self.decide(color, height, self.barred(height, straight.tried))
+        barred, elsewhere = self.barred(height, straight.tried), np.zeros(height.shape, np.bool_)
+        if self.knows_layers and goal is not None:
+            if goal.object_at is None:  # what its patch hides is a bag that lies there already, if any
+                barred |= region_mask(goal.corners, straight.size) > 0
+            else:
+                elsewhere = _distances(height.shape, goal.object_at) > _POINTED_M / grid.pixel_m
+        decision = self.decide(color, height, barred, elsewhere)
+        pointed = self._pointed(decision, elsewhere)[0]
+        _require_in_sight(decision.picks[0], pointed)
         pick_xy, place_xy = (
             grid.to_robot(found.place.double().cpu().numpy())[0] for found in (decision.pick, decision.place)
         )
@@ -179,11 +211,19 @@ class TransporterPolicy(LearnedPolicy):
         pick = PlanarPose(float(pick_xy[0]), float(pick_xy[1]), pick_yaw)
         place = PlanarPose(float(place_xy[0]), float(place_xy[1]), wrap_angle(pick_yaw + turn))
         where = {"pick": decision.picks[0], "place": decision.places[0]}
-        sure = min(float(scores.share()[0]) for scores in where.values())
+        sure = min(float(scores.share()[0]) for scores in (pointed, decision.places[0]))
         views = {name: _over_map(scores, height.shape) for name, scores in where.items()}
         if self.rectifier is not None:
             views = {name: self.rectifier.over_picture(view) for name, view in views.items()}
-        return Plan(PickPlace(pick, place), min(max(sure, 0.0), 1.0), views=views)
+        return Plan(self._there(pick, place, goal), min(max(sure, 0.0), 1.0), views=views)
+
+    def _there(self, pick: PlanarPose, place: PlanarPose, goal: Goal | None) -> PickPlace:
+        """The action whose pick and place appear at these poses from straight above, by the goal's layers."""
+        leaning = None if self.rectifier is None else self.rectifier.leaning
+        if goal is None or leaning is None:
+            return PickPlace(pick, place)
+        pick, place = leaning.there(pick, goal.object_layer), leaning.there(place, goal.layer)
+        return PickPlace(pick, place, goal.object_layer * LAYER_M, goal.layer * LAYER_M)
 
     def painted(self, color: Image, goal: Goal | None) -> Image:
         """The colours `(H, W, 3)` with the goal in them. Raises `BaggieError` where it is missing or leaves the map."""
@@ -200,10 +240,8 @@ class TransporterPolicy(LearnedPolicy):
         Raises `BaggieError` where nothing is left.
         """
         barred = height > self.scale.highest_m
-        rows, columns = height.shape
-        v, u = np.mgrid[:rows, :columns]
         for at in tried:
-            barred |= np.hypot(u - at[0], v - at[1]) <= _TRIED_PX
+            barred |= _distances(height.shape, at) <= _TRIED_PX
         if barred.all():
             raise BaggieError(
                 "expected a place to pick at, got a map where all is too high or was tried in vain"
@@ -211,16 +249,21 @@ class TransporterPolicy(LearnedPolicy):
         return np.asarray(barred)
 
     def decide(
-        self, color: Image, height: NDArray[np.float32], barred: NDArray[np.bool_] | None = None
+        self,
+        color: Image,
+        height: NDArray[np.float32],
+        barred: NDArray[np.bool_] | None = None,
+        elsewhere: NDArray[np.bool_] | None = None,
     ) -> Decision:
         """Run the network on one map: `(H, W, 3)` uint8 with the goal in it, `(H, W)` metres.
 
         Where `fast` is unsure of the place, it looks at the map turned by each quarter, too, and what it is surest of
         counts: it has learned from examples that a scene means the same however it is turned, and is at times mistaken.
-        `barred` `(H, W)`: where not to pick.
+        `barred` `(H, W)`: where not to pick; `elsewhere` `(H, W)`: where what is pointed at is not.
         """
-        barred = np.zeros(height.shape, np.bool_) if barred is None else barred
-        straight = self._decide(color, height, barred)
+        nowhere = np.zeros(height.shape, np.bool_)
+        barred, elsewhere = (nowhere if where is None else where for where in (barred, elsewhere))
+        straight = self._decide(color, height, barred, elsewhere)
         if self.network.config.preset == "paper" or _sure(straight.places) >= _SURE:
             return straight
         others = []
@@ -229,33 +272,55 @@ class TransporterPolicy(LearnedPolicy):
                 quarter_turned(color, quarters),
                 quarter_turned(height, quarters),
                 quarter_turned(barred, quarters),
+                quarter_turned(elsewhere, quarters),
             )
             others.append(turned_back(there, quarters, height.shape))
-        return max([straight, *others], key=lambda each: _sure(each.picks) * _sure(each.places))
+        return max(
+            [straight, *others],
+            key=lambda each: _sure(self._pointed(each, elsewhere)) * _sure(each.places),
+        )
 
-    def _decide(self, color: Image, height: NDArray[np.float32], barred: NDArray[np.bool_]) -> Decision:
+    def _pointed(self, decision: Decision, elsewhere: NDArray[np.bool_]) -> list[Scores]:
+        """The looks for the pick, the first without what lies `elsewhere` `(H, W)`."""
+        first, *finer = decision.picks
+        return [first.without(torch.from_numpy(elsewhere)[None].to(self.device)), *finer]
+
+    def _decide(
+        self,
+        color: Image,
+        height: NDArray[np.float32],
+        barred: NDArray[np.bool_],
+        elsewhere: NDArray[np.bool_],
+    ) -> Decision:
         colors = torch.from_numpy(np.ascontiguousarray(color.transpose(2, 0, 1)))[None]
         heights = torch.from_numpy(np.array(height, np.float32))[None]  # a copy: the map may be read-only
         self.network.eval()
         with torch.inference_mode():
-            not_here = torch.from_numpy(barred)[None].to(self.device)
-            return self.network.decide(colors.to(self.device), heights.to(self.device), not_here)
+            masks = (torch.from_numpy(mask)[None].to(self.device) for mask in (barred, elsewhere))
+            return self.network.decide(colors.to(self.device), heights.to(self.device), *masks)
 
     def _rectified(self, observation: Observation, goal: Goal | None) -> tuple[Observation, Goal | None]:
         """A camera's own picture and the goal in it as they are from straight above; a height map as it is."""
         if self.rectifier is None:
             return observation, goal
         goal = require_goal(goal)
-        require_on_table(goal, self.name)  # the picture is rectified at one height
+        if not self.knows_layers:
+            require_on_table(goal, self.name)  # the picture is rectified at one height
         picture, goal = at_training_size(observation, goal, self.picture_size, self.camera_size)
-        if not self.rectifier.contains(goal.corners):
-            (u, v), grid = goal.center, self.grid
+        self._require_on_grid(self.rectifier, goal.corners, "a goal")
+        if self.knows_layers and goal.object_at is not None:
+            self._require_on_grid(self.rectifier, np.array([goal.object_at]), "a bag pointed at")
+        return self.rectifier.observation(picture), self.rectifier.goal(goal)
+
+    def _require_on_grid(self, rectifier: Rectifier, pixels: FloatArray, what: str) -> None:
+        """Raise `BaggieError` where one of `(N, 2)` pixels of the camera's picture shows no place of the grid."""
+        if not rectifier.contains(pixels):
+            (u, v), grid = pixels.mean(axis=0), self.grid
             raise BaggieError(
-                f"expected a goal on the part of the table it was trained on, x {grid.x[0]:.2f} to {grid.x[1]:.2f} m "
+                f"expected {what} on the part of the table it was trained on, x {grid.x[0]:.2f} to {grid.x[1]:.2f} m "
                 f"and y {grid.y[0]:.2f} to {grid.y[1]:.2f} m, got one at pixel ({u:.0f}, {v:.0f}) that leaves it; "
                 "choose one nearer to the workspace's middle, or collect there"
             )
-        return self.rectifier.observation(picture), self.rectifier.goal(goal)
 
     def _checked(self, observation: Observation) -> tuple[Grid, NDArray[np.float32]]:
         grid, height = observation.grid, observation.height
@@ -276,6 +341,22 @@ class TransporterPolicy(LearnedPolicy):
                 f"{height.shape[0]}; give all three from one height map"
             )
         return grid, height
+
+
+def _require_in_sight(whole: Scores, pointed: Scores) -> None:
+    """Raise `BaggieError` where, as the first look for the pick says, no bag lies where one was pointed at."""
+    faint = float((pointed.logits.max() - whole.logits.max()).exp())
+    if not faint >= _FAINT:
+        raise BaggieError(
+            f"no bag in sight where one was pointed at: the heat map there is at {faint:.1%} of its peak; point at the "
+            "middle of a bag on which no other lies"
+        )
+
+
+def _distances(shape: tuple[int, ...], at: FloatArray | tuple[float, float]) -> FloatArray:
+    """`(H, W)`: how far all pixels of a map of this shape are from a point (u, v), pixels."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    return np.asarray(np.hypot(u - at[0], v - at[1]), float)
 
 
 def _sure(looks: Sequence[Scores]) -> float:
