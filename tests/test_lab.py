@@ -5,10 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
-import shutil
-import signal
-import subprocess
 import sys
 import time
 import urllib.error
@@ -45,10 +41,9 @@ from baggie.vision.color_mask import find_bag
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 from helpers.carries import carries_in, check_reached
+from helpers.lab_process import control_of, running_lab
 
 pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
-ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
-"""A pytest that is killed leaves no lab behind."""
 FAST_M_S = 1.2
 HERE = PlanarPose(0.5, 0.0, 0.0)
 ASIDE = PlanarPose(0.5, 0.8, 0.0)
@@ -58,30 +53,8 @@ HIGH = ToolPose(0.5, 0.15, 0.25)
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A workcell file that opens a lab in a process of its own."""
-    path = tmp_path_factory.mktemp("lab") / "cell.yaml"
-    host = f"127.1.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
-    words = [
-        "lab",
-        "--host",
-        host,
-        "--camera-port",
-        "0",
-        "--pace",
-        "0",
-        "--out",
-        str(path),
-        "--size",
-        "640x480",
-    ]
-    lab = subprocess.Popen(
-        [*ENDS_WITH_US, sys.executable, "-m", "baggie", *words], stdout=subprocess.PIPE, text=True
-    )
-    assert lab.stdout is not None
-    printed = lab.stdout.readline()
-    assert printed.startswith("# The virtual lab")
-    yield path
-    lab.send_signal(signal.SIGINT)
-    assert lab.wait(20) == 0
+    with running_lab(tmp_path_factory.mktemp("lab")) as path:
+        yield path
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +66,7 @@ def opened(file: Path) -> Iterator[Workcell]:
 
 @pytest.fixture(scope="module")
 def control(file: Path) -> LabControl:
-    camera = read_workcell_file(file).camera
-    assert camera is not None
-    assert camera.source is not None
-    return LabControl(camera.source)
+    return control_of(file)
 
 
 @pytest.fixture
