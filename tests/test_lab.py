@@ -35,6 +35,7 @@ from baggie.lab.web import LabControl
 from baggie.options.commissioning import CheckOptions, DoctorOptions, ImageToRobotOptions
 from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
+from baggie.sim.scene import ARM
 from baggie.sim.world import World
 from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag
@@ -380,6 +381,21 @@ def test_what_chatters_for_three_steps_is_not_felt_and_what_lasts_is(monkeypatch
         for _ in range(steps * TICKS_PER_STEP):
             robot.tick()
         assert robot.state.O_F_ext_hat_K[2] == felt
+
+
+def test_an_arm_that_is_folded_up_comes_to_rest_where_it_is_held() -> None:
+    folded = np.array([-0.407, 0.121, -0.333, -2.519, 0.08, 2.631, 0.427])
+    world = World(draw_cell(0))
+    assert world.fingers is not None
+    robot = LabRobot(world, world.fingers)
+    world.put_joints(folded)
+    robot.hold()
+    joints = [int(world.model.joint(f"{ARM}fr3_joint{k}").dofadr[0]) for k in range(1, 8)]
+    world.data.qvel[joints] = [0.2, -0.2, 0.2, 0.2, -0.2, 0.2, 0.2]
+    for _ in range(1200):
+        robot.tick()
+    assert np.abs(world.joint_velocities).max() < 0.01
+    np.testing.assert_allclose(world.joints, folded, atol=1e-3)
 
 
 def test_a_trail_knows_velocity_and_acceleration_of_what_was_commanded() -> None:
