@@ -27,6 +27,7 @@ import tyro
 from baggie.data import open_dataset
 from baggie.geometry import PlanarPose
 from baggie.lab.web import LabControl
+from baggie.options.values import USUAL_TASK
 from baggie.results import provenance, write_json, write_results
 from baggie.workcell.workcell_file import read_workcell_file
 from commands import rate, start
@@ -89,11 +90,13 @@ def main(options: Options) -> None:
 
 
 @contextmanager
-def lab(options: Options) -> Iterator[tuple[Path, LabControl]]:
+def lab(options: Options, task: str = USUAL_TASK) -> Iterator[tuple[Path, LabControl]]:
     """A lab in a process of its own: its workcell file, which names the calibration to come, and its control."""
     file, printed = options.out / "cell.yaml", options.out / UNCALIBRATED
     address = f"--host {options.host} --camera-port {options.camera_port}"
-    words = f"lab --cell {options.cell} --size {options.size} {address} --pace 0 --out {printed}"
+    words = (
+        f"lab --task {task} --cell {options.cell} --size {options.size} {address} --pace 0 --out {printed}"
+    )
     process = start(words.split(), stdout=subprocess.PIPE)
     assert process.stdout is not None
     try:
@@ -124,7 +127,7 @@ def step(options: Options, name: str, do: Callable[[], str]) -> dict[str, Any]:
 def calibrate(file: Path, control: LabControl) -> str:
     """The marker's plate into the hand, the table clear, and over the workspace."""
     control.show_paddle(True)
-    control.lay_bag(_AWAY)
+    control.lay_aside(_AWAY)
     marker = "--marker color:217,13,191 --marker-in-hand 0.09 0 0"
     plain, out = file.with_name(UNCALIBRATED), file.with_name(MAP)
     found = answer(f"calibrate image-to-robot --workcell {plain} --prepared {marker} --out {out}")
@@ -134,7 +137,7 @@ def calibrate(file: Path, control: LabControl) -> str:
 
 def doctor(file: Path, control: LabControl) -> str:
     """Everything it checks, moving included."""
-    control.lay_bag(_AWAY)
+    control.lay_aside(_AWAY)
     findings = answer(f"doctor {file} --move yes --lab {control.address}")["findings"]
     return f"{sum(finding['verdict'] == 'ok' for finding in findings)} of {len(findings)} checks ok"
 

@@ -229,7 +229,7 @@ def test_the_hand_goes_as_low_as_follows_from_what_lies_there_and_passes_over_th
     arm, h = RecordingArm(), Handling()
     cell = TimelessCell(arm, cast(Camera, None), WorkcellSettings())
     outcome = cell.execute(replace(STACK, pick_on_m=pick_on, place_on_m=place_on, tallest_m=tallest))
-    assert outcome.pick_z_m == pytest.approx(pick_on + h.pick_z_m)
+    assert outcome.pick_z_m == pytest.approx(max(pick_on - 0.012, 0.0) + h.pick_z_m)
     assert outcome.place_z_m == pytest.approx(place_on + h.place_z_m)
     start = arm.poses.index(outcome.executed.pick.at_height(outcome.pick_z_m))
     aside = [
@@ -238,6 +238,14 @@ def test_the_hand_goes_as_low_as_follows_from_what_lies_there_and_passes_over_th
     assert aside
     over = max(place_on, tallest)
     assert all(min(here.z, there.z) >= over + h.travel_z_m - 0.01 for here, there in aside)
+
+
+def test_what_is_hard_is_taken_where_it_is_counted_and_what_is_felt_for_is_not_taken_lower() -> None:
+    h, action = Handling(), replace(STACK, pick_on_m=0.05)
+    hard = TimelessCell(RecordingArm(), cast(Camera, None), WorkcellSettings(object_hard=True))
+    assert hard.execute(action).pick_z_m == pytest.approx(0.05 + h.pick_z_m)
+    feels = TimelessCell(StackArm(0.09), cast(Camera, None), WorkcellSettings())
+    assert feels.execute(action).pick_z_m == pytest.approx(0.09 - h.sink_m)
 
 
 def test_an_action_that_says_nothing_of_heights_is_for_the_table() -> None:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
-import shutil
-import signal
-import subprocess
 import sys
 import time
 import urllib.error
@@ -39,16 +35,16 @@ from baggie.lab.web import LabControl
 from baggie.options.commissioning import CheckOptions, DoctorOptions, ImageToRobotOptions
 from baggie.robot.contract import check_arm
 from baggie.sim.cell import draw_cell
+from baggie.sim.scene import ARM
 from baggie.sim.world import World
 from baggie.types import PickPlace
 from baggie.vision.color_mask import find_bag
 from baggie.workcell.workcell import Workcell, WorkcellSettings
 from baggie.workcell.workcell_file import read_workcell_file
 from helpers.carries import carries_in, check_reached
+from helpers.lab_process import control_of, running_lab
 
 pytest.importorskip("franky", reason='needs franky-control: pip install ".[franka]"')
-ENDS_WITH_US = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
-"""A pytest that is killed leaves no lab behind."""
 FAST_M_S = 1.2
 HERE = PlanarPose(0.5, 0.0, 0.0)
 ASIDE = PlanarPose(0.5, 0.8, 0.0)
@@ -58,30 +54,8 @@ HIGH = ToolPose(0.5, 0.15, 0.25)
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A workcell file that opens a lab in a process of its own."""
-    path = tmp_path_factory.mktemp("lab") / "cell.yaml"
-    host = f"127.1.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
-    words = [
-        "lab",
-        "--host",
-        host,
-        "--camera-port",
-        "0",
-        "--pace",
-        "0",
-        "--out",
-        str(path),
-        "--size",
-        "640x480",
-    ]
-    lab = subprocess.Popen(
-        [*ENDS_WITH_US, sys.executable, "-m", "baggie", *words], stdout=subprocess.PIPE, text=True
-    )
-    assert lab.stdout is not None
-    printed = lab.stdout.readline()
-    assert printed.startswith("# The virtual lab")
-    yield path
-    lab.send_signal(signal.SIGINT)
-    assert lab.wait(20) == 0
+    with running_lab(tmp_path_factory.mktemp("lab")) as path:
+        yield path
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +67,7 @@ def opened(file: Path) -> Iterator[Workcell]:
 
 @pytest.fixture(scope="module")
 def control(file: Path) -> LabControl:
-    camera = read_workcell_file(file).camera
-    assert camera is not None
-    assert camera.source is not None
-    return LabControl(camera.source)
+    return control_of(file)
 
 
 @pytest.fixture
@@ -410,6 +381,21 @@ def test_what_chatters_for_three_steps_is_not_felt_and_what_lasts_is(monkeypatch
         for _ in range(steps * TICKS_PER_STEP):
             robot.tick()
         assert robot.state.O_F_ext_hat_K[2] == felt
+
+
+def test_an_arm_that_is_folded_up_comes_to_rest_where_it_is_held() -> None:
+    folded = np.array([-0.407, 0.121, -0.333, -2.519, 0.08, 2.631, 0.427])
+    world = World(draw_cell(0))
+    assert world.fingers is not None
+    robot = LabRobot(world, world.fingers)
+    world.put_joints(folded)
+    robot.hold()
+    joints = [int(world.model.joint(f"{ARM}fr3_joint{k}").dofadr[0]) for k in range(1, 8)]
+    world.data.qvel[joints] = [0.2, -0.2, 0.2, 0.2, -0.2, 0.2, 0.2]
+    for _ in range(1200):
+        robot.tick()
+    assert np.abs(world.joint_velocities).max() < 0.01
+    np.testing.assert_allclose(world.joints, folded, atol=1e-3)
 
 
 def test_a_trail_knows_velocity_and_acceleration_of_what_was_commanded() -> None:

@@ -171,9 +171,9 @@ class LabAssistant:
         self._control.show_paddle(True)
 
     def lay_firm(self, heights_m: tuple[float, float], words: str) -> float | None:
-        """The block, under the hand, and the bag out of its way."""
+        """The block, under the hand, and all bags out of its way."""
         tool = self._control.truth()["tool"]
-        self._control.lay_bag(ASIDE)
+        self._control.lay_aside(ASIDE)
         self._control.lay_block(PlanarPose(tool["x"], tool["y"]), BLOCK_M)
         return BLOCK_M
 
@@ -186,6 +186,6 @@ class LabAssistant:
         return float(self._control.truth()["time"])
 
     def put_away(self) -> None:
-        """Out of hand and off the table; the bag stays aside."""
+        """Out of hand and off the table; bags stay aside."""
         self._control.show_paddle(False)
         self._control.take_block_away()

@@ -11,7 +11,7 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -28,14 +28,13 @@ from baggie.lab.robot import STEP_S, TICK_S, TICKS_PER_STEP, LabRobot
 from baggie.robot.franka.models import PARK
 from baggie.sim.arm_world import ArmWorld
 from baggie.sim.bag import Bag
-from baggie.sim.cell import PICTURE_SIZE, draw_cell
+from baggie.sim.cell import PICTURE_SIZE, Cell, draw_cell
 from baggie.sim.renderer import CameraRenderer
 from baggie.sim.scene import MAX_BLOCK_HEIGHT_M
 from baggie.sim.sensor import Exposure
-from baggie.sim.variety import lay_bags
 from baggie.sim.world import World
+from baggie.tasks.task import Scene, Setting, Task
 from baggie.types import Image
-from baggie.workcell.workcell import WorkcellSettings
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -72,11 +71,11 @@ class RenderState:
 class RenderProcess:
     """The process that draws, one picture at a time."""
 
-    def __init__(self, cell: int, picture_size: tuple[int, int]) -> None:
-        """`picture_size`: `(width, height)`, pixels. Raises `BaggieError` where nothing can render off screen."""
+    def __init__(self, cell: Cell, bags: Sequence[Bag]) -> None:
+        """Of a world with these bags in this cell. Raises `BaggieError` where nothing can render off screen."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, cell, picture_size), daemon=True)
+        self._process = context.Process(target=_work, args=(theirs, cell, bags), daemon=True)
         self._process.start()
         theirs.close()
         self._one_at_a_time = threading.Lock()
@@ -97,9 +96,9 @@ class RenderProcess:
         self._process.join()
 
 
-def _work(pipe: Connection, cell: int, picture_size: tuple[int, int]) -> None:
+def _work(pipe: Connection, cell: Cell, bags: Sequence[Bag]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the lab, which ends this process then
-    world = World(draw_cell(cell, picture_size))
+    world = World(cell, bags)
     try:
         renderer = CameraRenderer(world)
     except BaggieError as error:
@@ -116,9 +115,9 @@ def _work(pipe: Connection, cell: int, picture_size: tuple[int, int]) -> None:
 PORTS = (1337, 1338)
 """Of robot and hand, given by the protocol."""
 WITHIN_M = 2.0
-"""So far from the robot, along x and along y, the bag may be laid: well off the table, and no further."""
+"""So far from the robot, along x and along y, a bag may be laid: well off the table, and no further."""
 APART_M = 0.16
-"""So far apart bag and block are, so that neither lies on the other."""
+"""So far apart bags and the block are, so that none lies on another."""
 HAND_ABOVE_M = 0.02
 """So far above a block the tool has to be for somebody to lay it."""
 BUSY_S = 0.1
@@ -126,25 +125,45 @@ BUSY_S = 0.1
 T = TypeVar("T")
 
 
+def draw_scene(task: Task, cell: Cell, seed: int) -> tuple[Exposure, Scene]:
+    """The daylight and the scene with this number that a lab in this cell draws for a task."""
+    rng = seeds.generator(seeds.LAB, seed)
+    exposure = Exposure.random(rng)
+    return exposure, task.draw(rng, Setting(task.things, cell, task.workspace, seed=(seeds.LAB, seed)))
+
+
 class Lab:
-    """Table, bag, camera and robot. `run` makes time pass; whatever else touches them does so between its ticks."""
+    """Table, bags, camera and robot. `run` makes time pass; whatever else touches them does so between its ticks."""
 
     def __init__(
-        self, cell: int, seed: int, host: str, pace: float, picture_size: tuple[int, int] = PICTURE_SIZE
+        self,
+        task: Task,
+        cell: int,
+        *,
+        seed: int,
+        host: str,
+        pace: float,
+        picture_size: tuple[int, int] = PICTURE_SIZE,
     ) -> None:
         """`pace`: how many times as fast as real time it may go, 0 for as fast as it can while the arm is at work.
 
-        `picture_size`: `(width, height)` of its camera's pictures, pixels. Raises `BaggieError` where the robot's ports
-        at `host` cannot be had, and for pictures that cannot be drawn.
+        `picture_size`: `(width, height)` of its camera's pictures, pixels. Raises `BaggieError` where the task is of
+        more than a hand and bags, where the robot's ports at `host` cannot be had, and for pictures that cannot be
+        drawn.
         """
+        self.bags = tuple(thing for thing in task.things if isinstance(thing, Bag))
+        if task.tool != "hand" or len(self.bags) < len(task.things):
+            raise BaggieError(
+                f"expected a task of bags and a hand for the lab, got {task.name}; take bag-place, or one that stacks"
+            )
         self.host = host
-        self.settings = WorkcellSettings()
-        self.bag = Bag()
-        self.world = World(draw_cell(cell, picture_size), (self.bag,))
+        self.task = task
+        self._cell = draw_cell(cell, picture_size)
+        self.world = World(self._cell, self.bags)
         assert self.world.fingers is not None
         self.robot = LabRobot(self.world, self.world.fingers)
         self.fci = FciServer(self.robot, [host])
-        self.render_process = RenderProcess(cell, picture_size)
+        self.render_process = RenderProcess(self._cell, self.bags)
         self._pace = pace
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -231,7 +250,7 @@ class Lab:
     # -- what is in it; between ticks ---------------------------------------------------------------------------
 
     def reset(self, seed: int) -> None:
-        """The scene with this number: the bag anywhere, undented; arm parked, hand open, daylight another.
+        """The scene with this number: the bags anywhere, undented; arm parked, hand open, daylight another.
 
         Raises `BaggieError` while somebody moves the arm, and for what numbers no scene; then nothing has changed.
         """
@@ -241,20 +260,20 @@ class Lab:
             raise BaggieError(
                 "expected the arm at rest, to reset the scene; somebody moves it: wait until it stops"
             )
-        self.seed = seed
-        rng = seeds.generator(seeds.LAB, seed)
-        self._exposure = Exposure.random(rng)
-        bag, _ = lay_bags(self.settings.workspace, [], two=False, rng=rng)
-        self.world.reset({self.bag.name: bag})
+        exposure, scene = draw_scene(self.task, self._cell, seed)
+        self.seed, self._exposure = seed, exposure
+        self.world.reset(scene.poses, aside=set(self.world.movable) - set(scene.poses))
         self.world.put_joints(PARK)
         self.robot.hold()
         self.fci.hold()
 
-    def lay_bag(self, pose: PlanarPose, *, undented: bool) -> None:
-        """Put the bag somewhere else, as a person would; its dents stay unless `undented`.
+    def lay_bag(self, pose: PlanarPose, name: str, *, undented: bool) -> None:
+        """Put a bag somewhere else, as a person would; its dents stay unless `undented`.
 
-        Raises `BaggieError` where no person would.
+        Raises `BaggieError` where no person would, and where no bag has this name.
         """
+        if name not in self.world.bodies:
+            raise BaggieError(f"expected a bag among {', '.join(self.world.bodies)}, got {name!r}")
         if not (abs(pose.x) <= WITHIN_M and abs(pose.y) <= WITHIN_M and math.isfinite(pose.yaw)):
             raise BaggieError(
                 f"expected x and y within {WITHIN_M:g} m of the robot and a finite yaw, got {pose.x:g}, {pose.y:g} and "
@@ -263,7 +282,12 @@ class Lab:
         block = self.world.block.pose
         if block is not None and pose.distance(block) < APART_M:
             raise BaggieError("expected a bag beside the block, got one on it; take the block away first")
-        self.world.put(self.bag.name, pose, undented=undented)
+        for other in self.world.bodies:
+            if other != name and pose.distance(self.world.planar_pose(other)) < APART_M:
+                raise BaggieError(
+                    f"expected {name} {APART_M:g} m beside all other bags, got it on {other}; lay that elsewhere first"
+                )
+        self.world.put(name, pose, undented=undented)
 
     def lay_block(self, pose: PlanarPose, height_m: float) -> None:
         """Lay a firm block, its middle at `pose`, for the arm to feel; a height of 0 takes it away.
@@ -278,7 +302,7 @@ class Lab:
                 f"expected a block of at most {MAX_BLOCK_HEIGHT_M:g} m within {WITHIN_M:g} m of the robot, got one of "
                 f"{height_m:g} m at {pose.x:g}, {pose.y:g}"
             )
-        if pose.distance(self.bag_pose()) < APART_M:
+        if any(pose.distance(self.world.planar_pose(bag)) < APART_M for bag in self.world.bodies):
             raise BaggieError(
                 "expected a block beside the bag, got one on it; lay the bag somewhere else first"
             )
@@ -288,14 +312,6 @@ class Lab:
                 f"expected a block below the hand, got one of {height_m:g} m with the tool at {z:.3f} m; raise the arm"
             )
         self.world.block.lay(pose, height_m)
-
-    def bag_pose(self) -> PlanarPose:
-        """The bag's true centre and yaw now."""
-        return self.world.planar_pose(self.bag.name)
-
-    def bag_lowest_m(self) -> float:
-        """Height of the bag's lowest point above the table."""
-        return self.world.bodies[self.bag.name].bottom_m()
 
     def render_state(self) -> RenderState:
         """The scene as it is now, for the render process to draw."""

@@ -3,7 +3,7 @@
 GET  /camera.mjpg
 GET  /truth
 POST /reset?seed=3
-POST /bag?x=0.5&y=0.1&yaw=0&undented=1
+POST /bag?x=0.5&y=0.1&yaw=0&undented=1&name=bag+2
 POST /block?x=0.5&y=0&height=0.04
 POST /paddle?shown=1
 POST /fault?name=reflex&after=2.0&seconds=3.0
@@ -17,10 +17,11 @@ import math
 import signal
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -32,8 +33,14 @@ from baggie.geometry import PlanarPose
 from baggie.lab.faults import DEFAULT_S, LabCamera, cause, check_fault
 from baggie.lab.lab import Lab
 from baggie.options.commissioning import LabOptions
+from baggie.registry import TASKS
+from baggie.robot.limits import WORKSPACE
+from baggie.tasks.conditions import State
 
 _TIMEOUT_S = 60.0
+_LOOK_S = 0.05
+_ROW_M = 0.17
+"""From bag to bag of those that are laid aside."""
 
 
 class LabControl:
@@ -50,19 +57,33 @@ class LabControl:
         """What only a simulation knows; see `baggie.lab.web.truth`."""
         return self._ask("GET", "truth")
 
+    def state(self) -> State:
+        """Where all bags truly are, as the conditions of a task judge it."""
+        return State.of({name: _pose(bag).upright(bag["z"]) for name, bag in self.truth()["bags"].items()})
+
+    def wait(self, seconds: float) -> None:
+        """Return when so much of the lab's time has passed."""
+        until = self.truth()["time"] + seconds
+        while self.truth()["time"] < until:
+            time.sleep(_LOOK_S)
+
     def bag_pose(self) -> PlanarPose:
-        """The bag's true centre and yaw, robot base frame."""
-        bag = self.truth()["bag"]
-        return PlanarPose(bag["x"], bag["y"], bag["yaw"])
+        """The true centre and yaw of the bag, of several the first, robot base frame."""
+        return _pose(self.truth()["bag"])
 
     def reset(self, seed: int) -> PlanarPose:
-        """A new scene; where the bag lies in it. Not while the arm moves."""
-        bag = self._ask("POST", "reset", seed=seed)["bag"]
-        return PlanarPose(bag["x"], bag["y"], bag["yaw"])
+        """A new scene; where the bag, of several the first, lies in it. Not while the arm moves."""
+        return _pose(self._ask("POST", "reset", seed=seed)["bag"])
 
-    def lay_bag(self, pose: PlanarPose, *, undented: bool = False) -> None:
-        """Put the bag somewhere else; the dents that grasps left in it stay unless `undented`."""
-        self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw, undented=int(undented))
+    def lay_bag(self, pose: PlanarPose, *, name: str | None = None, undented: bool = False) -> None:
+        """Put a bag, the first unless `name` says which, somewhere else; its dents stay unless `undented`."""
+        which = {} if name is None else {"name": name}
+        self._ask("POST", "bag", x=pose.x, y=pose.y, yaw=pose.yaw, undented=int(undented), **which)
+
+    def lay_aside(self, pose: PlanarPose) -> None:
+        """Put all bags somewhere else: the first there, the others in a row away from the robot's middle, along y."""
+        for number, name in reversed([*enumerate(self.truth()["bags"])]):
+            self.lay_bag(replace(pose, y=pose.y + math.copysign(_ROW_M, pose.y) * number), name=name)
 
     def lay_block(self, pose: PlanarPose, height_m: float) -> None:
         """Lay a firm block on the table for the arm to feel, beside the bag and below the hand."""
@@ -158,10 +179,11 @@ class _Handler(BaseHTTPRequestHandler):
                     seed = _whole(words, "seed", lab.seed)
                     lab.call(lambda: lab.reset(seed))
                 case "/bag":
-                    _check_known(words, "x", "y", "yaw", "undented")
+                    _check_known(words, "x", "y", "yaw", "undented", "name")
                     pose = PlanarPose(_number(words, "x"), _number(words, "y"), _number(words, "yaw", 0.0))
                     undented = _whole(words, "undented", 0, most=1) == 1
-                    lab.call(lambda: lab.lay_bag(pose, undented=undented))
+                    name = words.get("name", lab.bags[0].name)
+                    lab.call(lambda: lab.lay_bag(pose, name, undented=undented))
                 case "/block":
                     _check_known(words, "x", "y", "height")
                     height = _number(words, "height")
@@ -218,18 +240,31 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def truth(lab: Lab) -> dict[str, Any]:
-    """What only a simulation knows: metres, radians, in the robot's base frame; seconds of the lab's own time."""
+    """What only a simulation knows: metres, radians, in the robot's base frame; seconds of the lab's own time.
+
+    `z` of a bag is the mean height of its surface; `bag` is the first of `bags`.
+    """
+    bodies, first = lab.world.bodies, lab.bags[0].name
+    bags = {
+        name: {**asdict(body.planar_pose()), "z": float(body.pose()[2, 3])} for name, body in bodies.items()
+    }
     return {
         "seed": lab.seed,
         "time": lab.time,
-        "bag": asdict(lab.bag_pose()),
-        "bag_lowest_z": lab.bag_lowest_m(),
+        "bag": bags[first],
+        "bag_lowest_z": bodies[first].bottom_m(),
+        "bags": bags,
         "block": {"height": lab.world.block.height_m, "pressed_n": lab.world.block.pressed_n},
         "tool": dict(zip("xyz", lab.robot.tool_xyz, strict=True)),
         "gripper_width": lab.robot.hand.width,
         "motions_begun": lab.fci.begun,
         "errors_recovered": lab.fci.recovered,
     }
+
+
+def _pose(bag: dict[str, float]) -> PlanarPose:
+    """Of a bag in `truth`."""
+    return PlanarPose(bag["x"], bag["y"], bag["yaw"])
 
 
 def _words(*texts: str) -> dict[str, str]:
@@ -282,10 +317,15 @@ arm:
 camera:
   source: {camera}
   timeout_s: 20
-bag:
+{workspace}bag:
   length_m: {bag.length_m}
   width_m: {bag.width_m}
-  color: [{color}]
+  color: {color}
+"""
+_WORKSPACE = """\
+workspace:
+  x: [{area.x_min}, {area.x_max}]
+  y: [{area.y_min}, {area.y_max}]
 """
 
 
@@ -302,7 +342,14 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None] = _print) -> 
     for name, after_s in options.faults():
         check_fault(name, after_s)
     logging.getLogger("franky_sim").setLevel(logging.CRITICAL)  # a client that hangs up is no news
-    lab = Lab(options.cell, options.seed, options.host, options.pace, options.picture_size())
+    lab = Lab(
+        TASKS[options.task],
+        options.cell,
+        seed=options.seed,
+        host=options.host,
+        pace=options.pace,
+        picture_size=options.picture_size(),
+    )
     server = LabServer(lab, options.camera_port)
     for name, after_s in options.faults():
         cause(name, lab, server.camera, after_s)
@@ -318,6 +365,11 @@ def serve_lab(options: LabOptions, announce: Callable[[str], None] = _print) -> 
 
 def workcell_text(lab: Lab, server: LabServer) -> str:
     """The workcell file that opens the lab."""
-    bag = lab.bag
-    color = ", ".join(str(value) for value in bag.color)
-    return _FILE.format(host=lab.host, camera=server.address + STREAM, bag=bag, color=color)
+    bag, area = lab.bags[0], lab.task.workspace
+    return _FILE.format(
+        host=lab.host,
+        camera=server.address + STREAM,
+        workspace="" if area == WORKSPACE else _WORKSPACE.format(area=area),
+        bag=bag,
+        color=[*bag.color],
+    ) + (f"  colors: {[[*each.color] for each in lab.bags]}\n" if len(lab.bags) > 1 else "")

@@ -18,6 +18,7 @@ from baggie.options.values import (
     HAND_BOARD,
     HAND_MARKER,
     TABLE_MARKER,
+    USUAL_TASK,
     Color,
     Count,
     Height,
@@ -67,10 +68,12 @@ class DoctorOptions(Options):
 class LabOptions(Options):
     """What is in the lab, and where it is reached."""
 
+    task: str = USUAL_TASK
+    """Whose bags lie on the table, and where: one, or those of a task that stacks several, such as bag-tower."""
     cell: Seed = 0
     """Number of the simulated workcell: camera, lens, lights, table."""
     seed: Seed = 0
-    """Of the scene: where the bag lies at first."""
+    """Of the scene: where the bags lie at first."""
     size: str = "1280x720"
     """Of the camera's pictures, pixels: WxH."""
     host: str = "127.0.0.1"

@@ -24,7 +24,7 @@ _ANY = 8
 _FINELY = 3
 """So many times more slowly the hand comes down to feel for what is soft."""
 _LOWER_M = 0.012
-"""So much lower than counted what lies above the table is felt for."""
+"""So much lower than counted what lies above the table is felt for, or, where it is soft, taken without feeling."""
 _SHORT_M = 0.025
 """Until so much short of where it is counted the hand comes down as ever,"""
 _STRAY_M = 0.003
@@ -169,6 +169,18 @@ def _feel_down(arm: Arm, handling: Handling, on_m: float | None, descent: _Desce
     if touched.z > lowest:
         lower = max(touched.z - descent.further_m, lowest)
         arm.lower_until_contact(lower, feel_m_s / _FINELY, descent.guard_n)
+
+
+def lowered(action: PickPlace, arm: ArmInfo, handling: Handling, hard: bool) -> PickPlace:
+    """The action with the pick at which an arm that cannot feel how high a soft thing lies takes it from a stack.
+
+    Stacks sink together: fingers that close where it is counted hold its top fold only, and lose it.
+    """
+    counted_m = action.pick_on_m
+    if hard or not counted_m or arm.feels_n <= handling.top_force_n:
+        return action
+    tallest_m = max(counted_m, action.tallest_m)
+    return replace(action, pick_on_m=max(counted_m - _LOWER_M, 0.0), tallest_m=tallest_m)
 
 
 def rise_to(arm: Arm, z: float, speed_m_s: float) -> None:

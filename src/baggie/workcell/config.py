@@ -115,7 +115,7 @@ def _open(written: WorkcellFile, path: Path) -> Workcell:
         object_colors=written.bag.colors,
         object_size_m=written.bag.thing.size_m,
         object_hard=written.bag.hard,
-        object_symmetry=written.bag.simulated.symmetry,
+        object_symmetry=written.bag.symmetry,
         sure_within_m=written.sure_within_m,
     )
     if written.own_cell:

@@ -29,8 +29,8 @@ from baggie.geometry import FloatArray, PlanarPose, Rectangle
 from baggie.options.values import Color
 from baggie.robot.arm import Arm
 from baggie.robot.limits import WORKSPACE, GuardedArm, Limits
-from baggie.robot.primitives import Handling, least_turn, pick, place
-from baggie.types import Failure, Image, Observation, Outcome, PickPlace, Plan, middle_of_layer_m
+from baggie.robot.primitives import Handling, least_turn, lowered, pick, place
+from baggie.types import Image, Observation, Outcome, PickPlace, Plan, middle_of_layer_m
 from baggie.vision.drift import Landmarks
 
 if TYPE_CHECKING:
@@ -330,6 +330,7 @@ class Workcell:
         self.arm.check(action.pick, "pick")
         self.arm.check(action.place, "place")
         handling = self.settings.handling
+        action = lowered(action, self.arm.info, handling, self.settings.object_hard)
         action = least_turn(self.arm, action, handling, self.settings.object_symmetry)
         start = self.clock()
         try:
@@ -352,10 +353,9 @@ class Workcell:
         except (LimitError, ReachError):
             self.put_down(grasp.pose.planar, action.pick_on_m, action.tallest_m)
             raise
-        failure: Failure | None = None if release.held else "dropped"
         return Outcome(
             executed=PickPlace(grasp.pose.planar, release.pose.planar),
-            failure=failure,
+            failure=None if release.held else "dropped",
             grasp_width_m=grasp.width_m,
             release_width_m=release.width_m,
             pick_z_m=grasp.pose.z,

@@ -89,6 +89,11 @@ class BagEntry(Section):
         return self.length_m >= LONG_ASPECT * self.width_m
 
     @property
+    def symmetry(self) -> int:
+        """How often a turn the hand takes it alike: what is stacked half a turn, so that bags bridge gaps below."""
+        return 2 if self.colors else self.simulated.symmetry
+
+    @property
     def thing(self) -> Thing:
         """What is handled."""
         return Thing((self.length_m, self.width_m, self.height_m), self.hard, self.long)
