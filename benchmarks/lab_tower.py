@@ -89,7 +89,7 @@ def main(options: Options) -> None:
         "connection. The policy learned from the robot's own attempts in the simulated cell of this number. Success: "
         "every bag in its layer, at the end and two seconds of the lab's time later, by the lab's truth; in brackets "
         "Wilson's 95% interval. Layers from below: the share of towers in which it is right, and the median offset of "
-        "its bags from where they belong. The lab ran as fast as it could; minutes are the wall clock's."
+        "its bags from their slots. The lab ran as fast as it could; minutes are the wall clock's."
     )
     write_results(options.results, "Towers of three in the virtual lab", [row], provenance(seeds), notes)
 
