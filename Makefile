@@ -51,6 +51,11 @@ results: $(STAMP) ## measure everything that docs/results/ quotes, again: many h
 	$(BIN)/python benchmarks/rehearsal.py --learn --size 640x480 --attempts 160 \
 	    --out runs/night-640x480 --results docs/results/night-640x480
 	$(BIN)/python benchmarks/handling_media.py
+	$(BIN)/python benchmarks/stacks.py oracle
+	$(BIN)/python benchmarks/stacks.py keypoint
+	$(BIN)/baggie evaluate --policy runs/stacks/keypoint-300 --task bag-pyramid --episodes 2 --film 2 --out runs/pyramid-film
+	$(BIN)/python benchmarks/stack_media.py --evaluation runs/pyramid-film
+	$(BIN)/python benchmarks/lab_tower.py --policy runs/stacks/keypoint-300
 	$(BIN)/python benchmarks/goal_card.py
 	$(BIN)/python benchmarks/second_look.py
 	$(BIN)/python benchmarks/foreign_cell.py
