@@ -141,12 +141,14 @@ def _within(cell: Rectangle, bag: Bag, rng: np.random.Generator) -> PlanarPose:
     return PlanarPose(float(x), float(y), yaw)
 
 
-def _bags(rng: np.random.Generator, setting: Setting) -> tuple[tuple[Bag, ...], Variety]:
-    """The bags of a scene, square and of one size, as its scenery has them, and what else that changes.
+def _bags(rng: np.random.Generator, setting: Setting) -> tuple[tuple[Bag, ...], Variety | None]:
+    """The bags of a scene, square and of one size, as its scenery has them, and what else that changes, if anything.
 
     Raises `BaggieError` for a scenery in which other things stand about, for which stacks leave no room.
     """
     usual = tuple(thing for thing in setting.things if isinstance(thing, Bag))
+    if setting.scenery == "plain":
+        return usual, None
     if setting.scenery not in _SCENERIES:
         raise BaggieError(
             f"expected one of the sceneries {', '.join(_SCENERIES)} for stacks of bags, got {setting.scenery!r}; in "
