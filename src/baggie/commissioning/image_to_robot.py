@@ -249,7 +249,12 @@ def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRo
             "camera and is not covered by the hand"
         )
     try:
-        found = [np.array(view.get("corners", [view["pixel"]]), float).reshape(-1, 2) for view in views]
+        found = [
+            np.array(view["corners"], float).reshape(4, 2)
+            if "corners" in view
+            else np.array(view["pixel"], float).reshape(1, 2)
+            for view in views
+        ]
         hands = np.array([view["T_base_hand"] for view in views if "T_base_hand" in view], float).reshape(
             -1, 4, 4
         )
@@ -261,21 +266,25 @@ def _fit(views: list[dict[str, Any]], camera: CameraIdentity, options: ImageToRo
     lens = None if options.intrinsics is None else CameraCalibration.load(options.intrinsics, camera)
     known = lens.intrinsics if lens else None
 
-    def fit(robot: FloatArray, seen_through: Intrinsics | None = known, **how: Any) -> ImageToRobot:
-        pixels = np.array([marker_middle(each, seen_through) for each in found])
-        covariance = lens.covariance if lens else None
+    pictures = [str(view.get("image", "")) for view in views]
+
+    def fit(robot: FloatArray, seen_through: Intrinsics | None, limit_mm: float) -> ImageToRobot:
         return ImageToRobot.fit(
-            pixels, robot, camera, intrinsics=known, intrinsics_covariance=covariance, **how
+            np.array([marker_middle(each, seen_through) for each in found]),
+            robot,
+            camera,
+            intrinsics=known,
+            intrinsics_covariance=lens.covariance if lens else None,
+            limit_mm=limit_mm,
+            pictures=pictures,
         )
 
     if len(hands) == len(views):
-        check_marker_offset(
-            lambda robot: fit(robot, limit_mm=np.inf), hands, np.array(options.marker_in_hand)
-        )
-    fit = partial(fit, limit_mm=options.limit_mm, pictures=[str(view.get("image", "")) for view in views])
-    fitted = fit(robot)
+        check_marker_offset(lambda robot: fit(robot, known, np.inf), hands, np.array(options.marker_in_hand))
+    fitted = fit(robot, known, options.limit_mm)
     if known is None and any(len(each) == 4 for each in found):
-        fitted = fit(robot, fitted.lens)  # now that the lens is known well enough to tell where middles are
+        # Now that the lens is known well enough to tell where middles are.
+        fitted = fit(robot, fitted.lens, options.limit_mm)
     return fitted.at_height(options.map_height) if fitted.height_aware else fitted
 
 

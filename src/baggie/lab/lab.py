@@ -262,7 +262,7 @@ class Lab:
             )
         exposure, scene = draw_scene(self.task, self._cell, seed)
         self.seed, self._exposure = seed, exposure
-        self.world.reset(scene.poses, aside=set(self.world.movable) - set(scene.poses))
+        self.world.reset(scene.starts, aside=set(self.world.movable) - set(scene.poses))
         self.world.put_joints(PARK)
         self.robot.hold()
         self.fci.hold()
